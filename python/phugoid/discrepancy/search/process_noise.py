@@ -28,7 +28,7 @@ from ..candidates.candidate import unused
 from .disturbance import Disturbance
 from .refit import Refit
 
-__all__ = ["Filtered", "filtered", "filtered_elsewhere", "through_shaping_filter"]
+__all__ = ["FilterErrorRefit", "filtered", "filtered_elsewhere", "through_shaping_filter"]
 
 # Correlation times from the start value on, in times of it; white noise is begun as noise of so many knots.
 _SHORTER, _LONGER, _BEGUN = 0.1, 30.0, 2.0
@@ -37,7 +37,7 @@ _BETTER, _FAR = 8.0, 200.0
 
 
 @dataclass(frozen=True, eq=False)
-class Filtered:
+class FilterErrorRefit:
     """A fit by the filter-error method.
 
     fit       its parameters have the intensity of the noise, ``q_<state>``.
@@ -97,7 +97,7 @@ def through_shaping_filter(model: Model, place: Place, tau: float) -> tuple[Mode
     return shaped, state, time
 
 
-def filtered(at: Refit, of: Disturbance, seconds: float) -> Filtered | None:
+def filtered(at: Refit, of: Disturbance, seconds: float) -> FilterErrorRefit | None:
     """Return the fit by the filter-error method with a disturbance at the place of one; None where it fails.
 
     White noise of an equation is tried where the disturbance is white, and a shaping filter where that is not likelier
@@ -109,11 +109,11 @@ def filtered(at: Refit, of: Disturbance, seconds: float) -> Filtered | None:
     if model.delays or any(p.per_experiment for p in model.declared_parameters.values()):
         return None
     initial: dict[str, tuple[float, float] | None] = dict.fromkeys(model.state_names)
-    white: Filtered | None = None
+    white: FilterErrorRefit | None = None
     if of.place.kind == "equation" and not of.correlation:
         method = FilterError(of.place.name, initial=initial, time_limit=seconds)
         found = _estimated(model, dataset(fit), method, fit, fit, seconds)
-        white = Filtered(found, of.place.name) if found is not None else None
+        white = FilterErrorRefit(found, of.place.name) if found is not None else None
         # Far behind, and no likelier than the linearisation: that has tried coloured histories as well.
         hopeless = white is not None and white.merit < of.merit + _BETTER and of.merit < at.merit - _FAR
         if white is not None and (white.merit > at.merit or hopeless):
@@ -126,11 +126,11 @@ def filtered(at: Refit, of: Disturbance, seconds: float) -> Filtered | None:
     method = FilterError(state, initial={**initial, state: (0.0, size)}, time_limit=seconds)
     start = {**fit.as_start(fit.noise), f"q_{state}": size * float(np.sqrt(2.0 / tau))}
     found = _estimated(shaped, dataset(fit), method, fit, start, seconds)
-    coloured = Filtered(found, state, time) if found is not None else None
+    coloured = FilterErrorRefit(found, state, time) if found is not None else None
     return max((f for f in (white, coloured) if f is not None), key=lambda f: f.merit, default=None)
 
 
-def filtered_elsewhere(of: Filtered, data: Sequence[Experiment], free: Sequence[str], seconds: float) -> float:
+def filtered_elsewhere(of: FilterErrorRefit, data: Sequence[Experiment], free: Sequence[str], seconds: float) -> float:
     """Return the log-likelihood of other records with the model and the disturbance as fitted, but for first states and
     ``free`` parameters; NaN where there is no such fit."""
     fit, name = of.fit, f"q_{of.state}"

@@ -21,7 +21,7 @@ from ..candidates.candidate import Candidate, Effect, is_function
 from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of
 from .evidence import is_structured
 from .free_run import Explained, Misfitting, Simulated
-from .process_noise import Filtered, filtered, filtered_elsewhere
+from .process_noise import FilterErrorRefit, filtered, filtered_elsewhere
 from .refit import Refit, fitted_to
 from .search import Search, SearchResult
 from .single_event import single_event
@@ -79,7 +79,7 @@ class Remainder:
     gain: float
     held_out: float
     rivals: Mapping[str, float] = field(default_factory=dict)
-    filtered: Filtered | None = None
+    filtered: FilterErrorRefit | None = None
     moves: bool = False
     explained: Explained | None = None
     fitted: Refit | None = None
@@ -99,7 +99,7 @@ class _Option:
     at: Refit
     merit: float
     disturbance: Disturbance | None = None
-    filtered: Filtered | None = None
+    filtered: FilterErrorRefit | None = None
     noise: Disturbance | None = None
 
 

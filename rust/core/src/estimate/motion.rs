@@ -23,9 +23,8 @@ const APART: f64 = 1e-12;
 /// Iterations on one mesh before it is moved, and how often it is. The last mesh has no limit of its own.
 const ITERATIONS: usize = 25;
 const MOVES: usize = 8;
-/// The local error of collocation that segments may have at first, as a part of each state. Where an end on such a mesh does not
-/// suit it is so many times less, and the square root of that where a run is not yet at its end; at least the last.
-const LOCAL: f64 = 1e-3;
+/// Where an end on a mesh does not suit, its local error is to be so many times less, and the square root of that where a run is
+/// not yet at its end; at least the last.
 const FINER: f64 = 16.0;
 const FINEST: f64 = 1e-9;
 /// A mesh suits where outputs differ from those of an integration by less than this part of the residuals.
@@ -39,6 +38,19 @@ const RATE: f64 = 0.1;
 
 /// Values of parameters by name.
 pub(super) type Values = Vec<(String, f64)>;
+
+/// How exact meshes along a motion are.
+#[derive(Clone, Copy)]
+pub(super) struct Accuracy {
+    /// Tolerance of the integration.
+    pub tolerance: f64,
+    /// The local error of collocation that segments may have at first, as a part of each state.
+    pub local: f64,
+}
+
+/// Of the search, and of the last run.
+pub(super) const SEARCH: Accuracy = Accuracy { tolerance: 1e-6, local: 1e-3 };
+pub(super) const FINAL: Accuracy = Accuracy { tolerance: 1e-7, local: 1e-4 };
 
 /// A simulation of one experiment: its motion, and outputs at the samples.
 pub(super) struct Simulated {
@@ -109,17 +121,18 @@ impl Estimation<'_> {
         &self,
         values: &Values,
         best: f64,
-        tolerance: f64,
+        accuracy: Accuracy,
         watch: &mut Watch<'_>,
     ) -> Result<Option<Fit>, Error> {
         let order = self.transcription.order;
-        let mut local = LOCAL;
+        let mut local = accuracy.local;
         let mut at = values.clone();
         let mut fit: Option<Fit> = None;
         let (mut iterations, mut time, mut divisions) = (0, Duration::ZERO, 0);
         for number in 0..=MOVES {
             let last = number == MOVES;
-            let (grid, paths): (Vec<Grid>, Vec<Path>) = match (self.simulated(&at, tolerance), &fit) {
+            let (grid, paths): (Vec<Grid>, Vec<Path>) = match (self.simulated(&at, accuracy.tolerance), &fit)
+            {
                 (Some(runs), fit) => {
                     if let Some(fit) = fit {
                         let off = fit.departure(&runs);
@@ -131,7 +144,7 @@ impl Estimation<'_> {
                         } else if off > FAR {
                             local = (local / FINER.sqrt()).max(FINEST);
                         } else if off < SUITS {
-                            local = LOCAL.min(2.0 * local);
+                            local = accuracy.local.min(2.0 * local);
                         }
                     }
                     let one = |(run, found): (&Experiment, Simulated)| {

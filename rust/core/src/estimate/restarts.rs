@@ -6,7 +6,7 @@ use fastrand::Rng;
 
 use super::Estimation;
 use super::fit::Fit;
-use super::motion::{FAR, Values};
+use super::motion::{FAR, FINAL, SEARCH, Values};
 use super::run::Watch;
 use crate::error::Error;
 use crate::interrupt::current;
@@ -14,9 +14,6 @@ use crate::model::Parameter;
 use crate::solver::Status;
 use crate::transform::Transform;
 
-/// Tolerances of the integration whose steps become segments: of the search, and of the last run.
-const SEARCH: f64 = 1e-6;
-const FINAL: f64 = 1e-7;
 /// Restarts in a row that bring no more than this in log-likelihood, before one for each parameter is added.
 const RESTARTS: usize = 10;
 const GAIN: f64 = 1e-3;
@@ -47,14 +44,14 @@ impl Estimation<'_> {
         let restarts = self.restarts.unwrap_or(RESTARTS + free.len());
         let restarts = if free.is_empty() || self.goes_on() { 0 } else { restarts };
         let mut draws = Draws { parameters, free, random: seeded(&values) };
-        let tolerance = if restarts > 0 { SEARCH } else { FINAL };
-        let mut found = self.along_the_motion(&values, f64::NEG_INFINITY, tolerance, watch)?;
+        let accuracy = if self.goes_on() { FINAL } else { SEARCH };
+        let mut found = self.along_the_motion(&values, f64::NEG_INFINITY, accuracy, watch)?;
         for number in 0..if restarts > 0 { DRAWS } else { 0 } {
             if found.is_some() || current().stops() {
                 break;
             }
             let others = draws.others(number, &values, &|_| false);
-            found = self.along_the_motion(&others, f64::NEG_INFINITY, tolerance, watch)?;
+            found = self.along_the_motion(&others, f64::NEG_INFINITY, accuracy, watch)?;
         }
         let Some(mut fit) = found else { return Ok(None) };
 
@@ -71,13 +68,13 @@ impl Estimation<'_> {
             for _ in 0..DRAWS {
                 others = draws.others(without, &at, &undetermined);
                 // What changes nothing leads back.
-                let runs = self.simulated(&others, tolerance);
+                let runs = self.simulated(&others, accuracy.tolerance);
                 if current().stops() || runs.is_some_and(|runs| !fit.suits(&runs)) {
                     break;
                 }
             }
             without += 1;
-            let Some(other) = self.along_the_motion(&others, likelihood, tolerance, watch)? else { continue };
+            let Some(other) = self.along_the_motion(&others, likelihood, accuracy, watch)? else { continue };
             iterations += other.iterations;
             time += other.solution.time;
             if other.status == Status::Interrupted {
@@ -92,7 +89,7 @@ impl Estimation<'_> {
                 again += usize::from(reached > likelihood - SAME);
             }
         }
-        if tolerance > FINAL && !fit.status.was_stopped() && !current().stops() {
+        if !self.goes_on() && !fit.status.was_stopped() && !current().stops() {
             let at: Values = fit.parameters.iter().map(|e| (e.name.clone(), e.value)).collect();
             let last = self.along_the_motion(&at, f64::NEG_INFINITY, FINAL, watch)?;
             if let Some(last) = last.filter(|last| last.status != Status::TimeLimit) {
@@ -121,7 +118,7 @@ impl Estimation<'_> {
     /// A path on a mesh that is too coarse may cross a pole of the solution, or miss a fast motion.
     fn likelihood(&self, fit: &Fit) -> f64 {
         let at: Values = fit.parameters.iter().map(|e| (e.name.clone(), e.value)).collect();
-        let runs = if fit.feasible { self.simulated(&at, SEARCH) } else { None };
+        let runs = if fit.feasible { self.simulated(&at, SEARCH.tolerance) } else { None };
         let known = runs.is_some_and(|runs| fit.departure(&runs) <= FAR);
         if known { fit.log_likelihood } else { f64::NEG_INFINITY }
     }

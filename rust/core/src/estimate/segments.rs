@@ -148,3 +148,57 @@ impl Quadrature<'_> {
         worst
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RATE: f64 = 3.0;
+
+    /// x' = -3 x from 1, in 60 equal steps until t = 6.
+    fn decay() -> Motion {
+        let ends: Vec<f64> = (0..=60).map(|k| 0.1 * f64::from(k)).collect();
+        let times: Vec<f64> = (0..=120).map(|k| 0.05 * f64::from(k)).collect();
+        let x = |t: f64| (-RATE * t).exp();
+        let slopes = times.windows(2).map(|w| [vec![-RATE * x(w[0])], vec![-RATE * x(w[1])]]).collect();
+        Motion { ends, states: vec![times.iter().map(|t| x(*t)).collect()], times, slopes }
+    }
+
+    /// The largest local error of a segment, as a part of the state, from the exact solution.
+    fn local_error(order: usize, from: f64, to: f64) -> f64 {
+        let lgl = Lgl::new(order);
+        let (h, x) = (to - from, |t: f64| (-RATE * t).exp());
+        let slopes: Vec<f64> = lgl.nodes.iter().map(|node| -RATE * x(from + h * node)).collect();
+        let of_node = |node: &f64| {
+            let rise: f64 = lgl.integrate_to(0, *node).iter().zip(&slopes).map(|(w, f)| w * f).sum();
+            (x(from + h * node) - x(from) - h * rise).abs() / x(from).max(SMALL)
+        };
+        lgl.nodes.iter().map(of_node).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn segments_are_as_long_as_the_local_error_allows() {
+        for (order, tolerance) in [(3, 1e-3), (4, 1e-3), (4, 1e-5), (5, 1e-6)] {
+            let ends = decay().segments(order, tolerance, &[]);
+            assert_eq!((ends[0], ends[ends.len() - 1]), (0.0, 6.0));
+            for w in ends.windows(2) {
+                assert!(local_error(order, w[0], w[1]) <= 1.01 * tolerance, "order {order}, {w:?}");
+            }
+            // One step of the integration more would be too long, where a segment is not the last one.
+            for w in ends[..ends.len() - 1].windows(2).filter(|w| w[1] - w[0] > 0.099) {
+                assert!(local_error(order, w[0], w[1] + 0.1) > 0.99 * tolerance, "order {order}, {w:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_step_that_is_too_long_is_divided_and_fixed_times_are_kept() {
+        let fine = decay().segments(2, 1e-4, &[]);
+        assert!(fine.windows(2).any(|w| w[1] - w[0] < 0.09), "{fine:?}");
+        let motion = decay();
+        let fixed = [motion.ends[7], motion.ends[31]];
+        let ends = motion.segments(6, 1e-2, &fixed);
+        assert!(fixed.iter().all(|t| ends.contains(t)), "{ends:?}");
+        assert!(ends.len() < 20, "{ends:?}");
+    }
+}

@@ -260,7 +260,7 @@ impl<'a> Estimation<'a> {
     }
 
     /// With a mesh that follows the motion: restarts from other parameters without a gain until the search for better optima
-    /// ends; ten, and one for each parameter, unless said.
+    /// ends; twenty, and two for each parameter, or eight that end at the same optimum, unless said.
     pub fn restarts(mut self, restarts: usize) -> Self {
         self.restarts = Some(restarts);
         self

@@ -14,8 +14,10 @@ use crate::model::Parameter;
 use crate::solver::Status;
 use crate::transform::Transform;
 
-/// Restarts in a row that bring no more than this in log-likelihood, before one for each parameter is added.
-const RESTARTS: usize = 10;
+/// Restarts in a row that bring no more than this in log-likelihood, before two for each parameter are added; fewer where so many
+/// in a row end at the same optimum, which then is hardly one of many.
+const RESTARTS: usize = 20;
+const RETURNS: usize = 8;
 const GAIN: f64 = 1e-3;
 /// Ends of runs that differ by less than this are the same optimum.
 const SAME: f64 = 0.1;
@@ -33,15 +35,15 @@ impl Estimation<'_> {
     /// follow the motion.
     ///
     /// It is an iterated local search (Lourenço, Martin and Stützle 2003): a restart begins at the best end so far, with some
-    /// of the parameters drawn anew. It ends after so many restarts in a row without a gain: by default ten, and one for each
-    /// parameter. Where the model cannot be simulated at the starting values, parameters are sought where it can. None where
-    /// there are none.
+    /// of the parameters drawn anew. It ends after so many restarts in a row without a gain: by default twenty, and two for
+    /// each parameter, or eight that all return to the best end. Where the model cannot be simulated at the starting values,
+    /// parameters are sought where it can. None where there are none.
     pub(super) fn search_restarts(&self, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
         let parameters = &self.model.parameters;
         let values: Values = parameters.iter().map(|p| p.name.clone()).zip(self.parameters()?).collect();
         let free: Vec<usize> =
             (0..parameters.len()).filter(|&i| !parameters[i].fixed && !parameters[i].local).collect();
-        let restarts = self.restarts.unwrap_or(RESTARTS + free.len());
+        let restarts = self.restarts.unwrap_or(RESTARTS + 2 * free.len());
         let restarts = if free.is_empty() || self.goes_on() { 0 } else { restarts };
         let mut draws = Draws { parameters, free, random: seeded(&values) };
         let accuracy = if self.goes_on() { FINAL } else { SEARCH };
@@ -57,7 +59,9 @@ impl Estimation<'_> {
 
         let mut likelihood = self.likelihood(&fit);
         let (mut iterations, mut time, mut without, mut again) = (fit.iterations, fit.solution.time, 0, 0);
-        while without < restarts && !fit.status.was_stopped() && !current().stops() {
+        let mut returns = 0;
+        let enough = if self.restarts.is_none() { RETURNS } else { usize::MAX };
+        while without < restarts && returns < enough && !fit.status.was_stopped() && !current().stops() {
             let of_fit = |v: &(String, f64)| (v.0.clone(), fit.parameter(&v.0).map_or(v.1, |e| e.value));
             let at: Values = values.iter().map(of_fit).collect();
             // Of which the data say nothing at this end, or no more than how large they are.
@@ -74,6 +78,7 @@ impl Estimation<'_> {
                 }
             }
             without += 1;
+            let before = std::mem::take(&mut returns);
             let Some(other) = self.along_the_motion(&others, likelihood, accuracy, watch)? else { continue };
             iterations += other.iterations;
             time += other.solution.time;
@@ -86,7 +91,9 @@ impl Estimation<'_> {
                 again = usize::from(reached - likelihood < SAME);
                 (fit, likelihood, without) = (other, reached, 0);
             } else {
-                again += usize::from(reached > likelihood - SAME);
+                let same = reached > likelihood - SAME;
+                again += usize::from(same);
+                returns = if same { before + 1 } else { 0 };
             }
         }
         if !self.goes_on() && !fit.status.was_stopped() && !current().stops() {

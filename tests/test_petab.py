@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from cli_case import run
 from scipy.integrate import solve_ivp
-from scipy.stats import laplace, norm
+from scipy.stats import laplace, lognorm, norm
 
 import phugoid as ph
 
@@ -231,6 +231,66 @@ def test_an_event_at_a_given_time_is_a_step(tmp_path: Path) -> None:
     assert p.log_likelihood() == pytest.approx(float(expected), abs=1e-6)
 
 
+def _set_at(model: Any, name: str, time: float, variable: str, formula: str) -> None:
+    """Add an event that sets a variable at a time."""
+    event = model.createEvent()
+    event.setId(name)
+    event.setUseValuesFromTriggerTime(True)
+    trigger = event.createTrigger()
+    trigger.setMath(libsbml.parseL3Formula(f"time >= {time}"))
+    trigger.setInitialValue(False)
+    trigger.setPersistent(True)
+    assignment = event.createEventAssignment()
+    assignment.setVariable(variable)
+    assignment.setMath(libsbml.parseL3Formula(formula))
+
+
+_DOSES = ((1.0, "0.5 * A + 2"), (2.0, "1.5"), (2.5, "A + b0"))
+_AFTER: tuple[Callable[[float], float], ...] = (lambda a: 0.5 * a + 2, lambda _: 1.5, lambda a: a + 0.7)
+
+
+@pytest.mark.parametrize("chosen", [(0,), (1,), (2,), (0, 2), (1, 0, 2)])
+def test_events_at_given_times_make_states_jump(tmp_path: Path, chosen: tuple[int, ...]) -> None:
+    def with_events(model: Any) -> None:
+        for k in chosen:
+            _set_at(model, f"dose_{k}", _DOSES[k][0], "A", _DOSES[k][1])
+
+    at = (0.5, 1.0, 1.7, 2.2, 3.0)
+    rows = "".join(f"a\t\tlow\t2.1\t{t}\t1\t\n" for t in at)
+    observables = OBSERVABLES.replace("noise_a + noise_b * A", "0.1")
+    conditions = "conditionId\tdose\tb0\nlow\t0\t0.7\n"
+    p = ph.read_petab(problem(tmp_path, sbml(with_events), HEAD + rows, conditions, observables=observables))
+    jumps = sorted((_DOSES[k][0], k) for k in chosen)
+    expected = 0.0
+    for t in at:
+        a, begin = 3.0, 0.0
+        for time, k in (j for j in jumps if j[0] <= t):
+            a = _AFTER[k](a * math.exp(-0.9 * (time - begin)))
+            begin = time
+        expected += float(norm.logpdf(2.1, a * math.exp(-0.9 * (t - begin)), 0.1))
+    assert p.log_likelihood() == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_state_jumps_after_its_steady_state(tmp_path: Path) -> None:
+    def with_event(model: Any) -> None:
+        model.getRuleByVariable("inflow").setMath(libsbml.parseL3Formula("dose"))
+        _set_at(model, "bolus", 0.0, "A", "A + 2")
+
+    rows = "a\tlow\tlow\t2.1\t1\t1\t\n"
+    observables = OBSERVABLES.replace("noise_a + noise_b * A", "0.1")
+    conditions = "conditionId\tdose\tb0\nlow\t0.9\t0.7\n"
+    p = ph.read_petab(problem(tmp_path, sbml(with_event), HEAD + rows, conditions, observables=observables))
+    # It rests at inflow / k1 = 1, jumps to 3, and returns.
+    expected = float(norm.logpdf(2.1, 1.0 + 2.0 * math.exp(-0.9), 0.1))
+    assert p.log_likelihood() == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_jump_that_depends_on_another_state_is_named(tmp_path: Path) -> None:
+    text = sbml(lambda model: _set_at(model, "mix", 1.0, "A", "A + B"))
+    with pytest.raises(ph.ModelError, match="event mix: not supported: the value of A depends on B, other than"):
+        ph.read_petab(problem(tmp_path, text))
+
+
 def test_a_comparison_of_conditions_is_decided_before(tmp_path: Path) -> None:
     p = ph.read_petab(
         problem(tmp_path, sbml(_rule("piecewise(0.2, dose == 0.2, 1.5) * piecewise(1, time < half, 0.25)")))
@@ -315,13 +375,20 @@ def test_starts_fill_the_bounds_and_may_be_screened(tmp_path: Path) -> None:
     assert [p.log_likelihood(s) for s in screened] == ranks[:3]
 
 
-def test_a_normal_prior_counts_as_a_measurement(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kind", "density"),
+    [
+        ("parameterScaleNormal", float(norm.logpdf(math.log10(0.9), 0.1, 0.5))),
+        ("logNormal", float(lognorm.logpdf(0.9, 0.5, scale=math.exp(0.1)))),
+        ("normal", float(norm.logpdf(0.9, 0.1, 0.5))),
+    ],
+)
+def test_a_prior_counts_as_a_measurement(tmp_path: Path, kind: str, density: float) -> None:
     head, *rows = PARAMETERS.splitlines()
-    rows = [r + ("\tparameterScaleNormal\t0;0.5" if r.startswith("k1") else "\t\t") for r in rows]
+    rows = [r + (f"\t{kind}\t0.1;0.5" if r.startswith("k1") else "\t\t") for r in rows]
     table = "\n".join([f"{head}\tobjectivePriorType\tobjectivePriorParameters", *rows, ""])
     p = ph.read_petab(problem(tmp_path, parameters=table))
-    expected = by_hand(**NOMINAL) + float(norm.logpdf(math.log10(0.9), 0.0, 0.5))
-    assert p.log_likelihood() == pytest.approx(expected, abs=1e-6)
+    assert p.log_likelihood() == pytest.approx(by_hand(**NOMINAL) + density, abs=1e-6)
 
 
 # Log-likelihoods at the published points, as the benchmark collection gives them (Hass et al. 2019).

@@ -51,8 +51,10 @@ class NamedValues:
             raise ModelError(f"PEtab: the initial value of {name} depends on itself ({' -> '.join((*asked, name))})")
         if name not in self._done:
             said = self.conditions.values.get(name, self.table.get(name))
+            if said is None and name not in self.sbml.jumping:
+                said = self.sbml.rules.get(name)
             if said is None:
-                said = self.sbml.rules.get(name, self.sbml.initial.get(name))
+                said = self.sbml.initial.get(name)
             if said is None:
                 self._done[name] = Expr.symbol(name)  # a parameter of the tables, a signal or a switch
             elif said.name == name:
@@ -88,10 +90,12 @@ def declared_parameters(table: Any) -> tuple[dict[str, Parameter], dict[str, Exp
     return found, values
 
 
-def prior_outputs(table: Any) -> dict[str, tuple[Output, float]]:
-    """Read the priors of a parameter table as outputs that are measured once: name -> output and value.
+def prior_outputs(table: Any) -> dict[str, tuple[Output, float, float]]:
+    """Read the priors of a parameter table as outputs that are measured once: name -> output, value, and what the density of
+    the prior has beside that of the measurement.
 
-    A normal prior on a parameter, or on its logarithm, is the density of such a measurement.
+    A normal prior on a parameter, or on its logarithm, is the density of such a measurement. A log-normal one of ln p with
+    mean m and standard deviation s has a factor 1/p, too: it is that of a mean of m - s^2, times exp(s^2 / 2 - m).
     """
     found = {}
     for name, row in table.iterrows():
@@ -101,13 +105,16 @@ def prior_outputs(table: Any) -> dict[str, tuple[Output, float]]:
         if kind in ("uniform", "parameterScaleUniform"):
             continue
         scale = str(row.get("parameterScale", "lin")) if kind.startswith("parameterScale") else "lin"
-        if kind not in ("normal", "laplace", "parameterScaleNormal", "parameterScaleLaplace"):
+        if kind not in ("normal", "laplace", "logNormal", "parameterScaleNormal", "parameterScaleLaplace"):
             raise ModelError(f"PEtab: the prior {kind} of {name} is not supported")
         mean, width = map(float, str(row["objectivePriorParameters"]).split(";"))
+        beside = 0.0
+        if kind == "logNormal":
+            scale, mean, beside = "log", mean - width**2, 0.5 * width**2 - mean
         p = Expr.symbol(str(name))
         on_scale = {"lin": p, "log": Expr(p.log()), "log10": Expr(p.log() / math.log(10.0))}[scale]
         label = f"prior_of_{name}"
-        found[label] = (Output(label, on_scale, Expr(width), "aplace" in kind), mean)
+        found[label] = (Output(label, on_scale, Expr(width), "aplace" in kind), mean, beside)
     return found
 
 
@@ -211,8 +218,11 @@ class Records:
         for name, by_condition in self.values.conditions.signals.items():
             during, rest = by_condition[phase.during], by_condition[phase.before or phase.during]
             inputs[name] = np.where((t < 0.0) | before, rest, during)
+        events = {s.name for s in self.formulas.switches.values() if s.kind == "event"}
         for name, (at, direction) in steps.items():
-            reached = np.maximum(t, 0.0) >= at - 1e-12 * max(1.0, abs(at)) if math.isfinite(at) else at < 0.0
+            # Time stands still in a steady state before a record, and no event has happened.
+            clock = t if name in events else np.maximum(t, 0.0)
+            reached = clock >= at - 1e-12 * max(1.0, abs(at)) if math.isfinite(at) else at < 0.0
             inputs[name] = np.full(t.size, 1.0) * (reached if direction > 0 else ~np.asarray(reached))
         held = set(inputs)
         for name, column in self.measured.columns.get(phase, {}).items():
@@ -238,7 +248,7 @@ class Records:
                 f"PEtab: not supported: whether {switch.difference} is {switch.kind} depends on "
                 f"{', '.join(sorted(others))}, which is estimated or changes in time"
             )
-        if switch.kind != "positive":
+        if switch.kind not in ("positive", "event"):
             equal = abs(difference.evaluate({})) < 1e-12
             return (-math.inf if equal == (switch.kind == "equal") else math.inf), 1
         at = [difference.evaluate({TIME: t} if difference.symbols else {}) for t in (0.0, 1.0, 2.0)]

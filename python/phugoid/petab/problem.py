@@ -181,10 +181,10 @@ def read_petab(path: str | os.PathLike[str]) -> PetabProblem:
         conditions = Conditions.read(problem.condition_df, used, {**sbml.initial, **table})
     values = NamedValues(sbml, conditions, table)
     measured = Measurements.read(problem.measurement_df, problem.observable_df, formulas, table)
-    for label, (output, mean) in prior_outputs(problem.parameter_df).items():
+    for label, (output, mean, beside) in prior_outputs(problem.parameter_df).items():
         measured.outputs[label] = output
         measured.samples[phases[0]][label] = [(0.0, mean)]
-        measured.constant -= 0.5 * math.log(2.0 * math.pi)
+        measured.constant += beside - 0.5 * math.log(2.0 * math.pi)
     model = model_of(sbml, values, formulas, measured, parameters)
     nominal = {n: p.start for n, p in model.declared_parameters.items()}
     records = Records(model, values, formulas, measured, nominal)

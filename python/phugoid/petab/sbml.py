@@ -33,7 +33,8 @@ def petab_library() -> tuple[ModuleType, ModuleType]:
 class Switch:
     """A condition on time and on numbers known before the estimation.
 
-    kind  "positive" where it is ``difference`` > 0, "equal" and "unequal" where it compares ``difference`` with 0.
+    kind  "positive" where it is ``difference`` > 0, "equal" and "unequal" where it compares ``difference`` with 0, and
+          "event" where it is positive and a state jumps when it becomes so, also at time 0 after a steady state.
     """
 
     name: str
@@ -97,6 +98,11 @@ class Formulas:
             self.switches[text] = Switch(f"switch_{len(self.switches) + 1}", Expr(from_sympy(left - right)), kind)
         return self.switches[text].name
 
+    def event(self, trigger: Switch) -> Switch:
+        """Return the switch of an event that makes states jump when a trigger becomes true."""
+        name = f"event_of_{trigger.name}"
+        return self.switches.setdefault(name, Switch(name, trigger.difference, "event"))
+
 
 # Comparisons that are no question of time.
 _KINDS = {"Equality": "equal", "Unequality": "unequal"}
@@ -139,6 +145,7 @@ class SbmlModel:
     initial     values at the beginning, by state and for constants: expressions in other names, or numbers.
     rules       what assignment rules say, in an order in which each needs those before it only.
     constants   names of what does not change while a record lasts, unless an event at a given time changes it.
+    jumping     states that events set: each has a rule in others, which are continuous.
     """
 
     name: str
@@ -146,6 +153,7 @@ class SbmlModel:
     initial: dict[str, Expr] = field(default_factory=dict)
     rules: dict[str, Expr] = field(default_factory=dict)
     constants: set[str] = field(default_factory=set)
+    jumping: set[str] = field(default_factory=set)
 
     @classmethod
     def read(cls, document: Any, formulas: Formulas, overridden: Iterable[str]) -> SbmlModel:
@@ -245,25 +253,94 @@ class SbmlModel:
                 self.initial[name] = formulas.from_sbml(assignment.getMath(), f"SBML initial assignment of {name}")
 
     def _events_of(self, model: Any, formulas: Formulas) -> None:
-        """Events at given times that set constants: a step from one value to another."""
+        """Events at given times: constants step from one value to another, states jump."""
+        jumps: dict[str, list[_Jump]] = {}
         for event in model.getListOfEvents():
             place = f"SBML event {event.getId()}"
             trigger = formulas.from_sbml(event.getTrigger().getMath(), place)
             switches = {s.name: s for s in formulas.switches.values()}
-            slope = switches[trigger.name].difference.diff(TIME).constant if trigger.name in switches else None
-            if slope is None or slope <= 0.0:
+            switch = switches.get(trigger.name or "")
+            slope = None if switch is None else switch.difference.diff(TIME).constant
+            if switch is None or slope is None or slope <= 0.0:
                 raise ModelError(f"{place}: not supported: its trigger is not that a known time is reached")
             for assignment in event.getListOfEventAssignments():
                 name = assignment.getVariable()
-                if name not in self.constants:
-                    raise ModelError(f"{place}: not supported: it sets {name}, which is no constant")
                 value = formulas.from_sbml(assignment.getMath(), place)
+                if name in self.slopes:
+                    jump = _Jump.of(place, name, formulas.event(switch), value, self.constants)
+                    jumps.setdefault(name, []).append(jump)
+                    continue
+                if name not in self.constants:
+                    raise ModelError(f"{place}: not supported: it sets {name}, which is neither a constant nor a state")
                 if TIME in value.symbols or set(value.symbols) - self.constants:
                     raise ModelError(f"{place}: not supported: the value of {name} depends on what changes in time")
                 before = self.rules.pop(name, Expr.symbol(f"{name}_before"))
                 self.initial.setdefault(f"{name}_before", self.initial.pop(name, Expr(0.0)))
                 self.constants.add(f"{name}_before")
                 self.rules[name] = Expr(trigger * substituted(value, {name: before}) + (1.0 - trigger) * before)
+        for name, own in jumps.items():
+            self._jump(name, _in_order(name, own))
+
+    def _jump(self, name: str, jumps: list[_Jump]) -> None:
+        """Write a state that jumps as a sum c1 x1 + c2 x2 + ... + b of states that do not, x1' = w1 x' and so on.
+
+        A jump to a x + b with a other than 0 is a change of scale and origin; one to b alone ends the motion of the
+        states so far, and another one begins.
+        """
+        one, slope = Expr(1.0), self.slopes.pop(name)
+        parts, origin = [(one, one)], Expr(0.0)
+        for jump in jumps:
+            on = Expr.symbol(jump.switch.name)
+            off = Expr(1.0 - on)
+            if jump.factor.constant == 0.0:
+                parts = [(Expr(c * off), Expr(w * off)) for c, w in parts] + [(on, on)]
+                origin = Expr(origin * off + jump.offset * on)
+                continue
+            scale = Expr(1.0 + (jump.factor - 1.0) * on)
+            parts = [(Expr(c * scale), Expr(w / scale)) for c, w in parts]
+            origin = Expr(origin * scale + jump.offset * on)
+        total = origin
+        for k, (factor, weight) in enumerate(parts, 1):
+            state = f"{name}_continuous_{k}"
+            self.slopes[state] = Expr(weight * slope)
+            self.initial[state] = Expr.symbol(name) if k == 1 else Expr(0.0)
+            total = Expr(total + factor * Expr.symbol(state))
+        self.rules[name] = total
+        self.jumping.add(name)
+
+
+@dataclass(frozen=True)
+class _Jump:
+    """An event that sets a state x to factor x + offset."""
+
+    switch: Switch
+    factor: Expr
+    offset: Expr
+
+    @classmethod
+    def of(cls, place: str, name: str, switch: Switch, value: Expr, constants: set[str]) -> _Jump:
+        factor = Expr(value.diff(name))
+        offset = substituted(value, {name: Expr(0.0)})
+        if others := (set(factor.symbols) | set(offset.symbols)) - constants:
+            raise ModelError(
+                f"{place}: not supported: the value of {name} depends on {', '.join(sorted(others))}, other than "
+                f"linearly in {name} itself"
+            )
+        return cls(switch, factor, offset)
+
+
+def _in_order(name: str, jumps: list[_Jump]) -> list[_Jump]:
+    """Sort jumps by their times; the order does not matter where each one adds a constant."""
+    if len(jumps) == 1 or all(j.factor.constant == 1.0 for j in jumps):
+        return jumps
+    if any(set(j.switch.difference.symbols) != {TIME} for j in jumps):
+        raise ModelError(f"SBML: not supported: several events that set {name}, at times that are no numbers")
+
+    def time(jump: _Jump) -> float:
+        at = [float(jump.switch.difference.evaluate({TIME: t})) for t in (0.0, 1.0)]
+        return -at[0] / (at[1] - at[0])
+
+    return sorted(jumps, key=time)
 
 
 def _stoichiometry(model: Any) -> dict[str, list[tuple[str, float]]]:

@@ -91,11 +91,11 @@ def declared_parameters(table: Any) -> tuple[dict[str, Parameter], dict[str, Exp
 
 
 def prior_outputs(table: Any) -> dict[str, tuple[Output, float, float]]:
-    """Read the priors of a parameter table as outputs that are measured once: name -> output, value, and what the density of
-    the prior has beside that of the measurement.
+    """Read the priors of a parameter table as outputs that are measured once.
 
-    A normal prior on a parameter, or on its logarithm, is the density of such a measurement. A log-normal one of ln p with
-    mean m and standard deviation s has a factor 1/p, too: it is that of a mean of m - s^2, times exp(s^2 / 2 - m).
+    Returns by name the output, its value, and what the log-density of the prior has beside that of the measurement.
+    A normal prior on a parameter, or on its logarithm, is the density of such a measurement. A log-normal one, of ln p
+    with mean m and standard deviation s, has a factor 1/p, too: it is that of a mean m - s^2, times exp(s^2 / 2 - m).
     """
     found = {}
     for name, row in table.iterrows():

@@ -27,6 +27,7 @@ __all__ = [
     "derived",
     "estimates_html",
     "estimates_table",
+    "facts_text",
     "plus_minus",
     "text_table",
 ]
@@ -301,6 +302,12 @@ def _estimates_rows(estimates: Iterable[Estimate], coloured: Mapping[str, Estima
         corrected = _rounded(e.value, other)[1]
         rows.append([e.name, value, std_error, percent if math.isfinite(relative) else "", corrected, e.unit, e.remark])
     return rows
+
+
+def facts_text(title: str, facts: Mapping[str, str]) -> str:
+    """Return plain text of a title and of facts under it, each behind its heading."""
+    width = max(map(len, facts))
+    return "\n".join([title, *(f"  {heading.ljust(width)}  {text}" for heading, text in facts.items())])
 
 
 def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str) -> str:

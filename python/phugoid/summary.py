@@ -10,7 +10,7 @@ from .errors import PhugoidError
 from .fit_result import FitResult
 from .goodness_of_fit import match
 from .notebook import bullets, notebook_page, sparkline, table
-from .parameters import Estimate, Estimates, estimates_html, estimates_table, text_table
+from .parameters import Estimate, Estimates, estimates_html, estimates_table, facts_text, text_table
 from .sensitivities.tangents import cheap
 from .uncertainty.coloured import coloured
 from .uncertainty.correlation import correlation
@@ -22,7 +22,7 @@ def fit_summary(fit: FitResult) -> str:
     """Return aligned tables for the terminal, and the warnings; see `Fit.summary`."""
     outputs = _outputs(fit)
     physical, noise = _groups(fit)
-    parts = [_header(fit)]
+    parts = [facts_text(str(fit.model.name), _entries(fit))]
     errors = corrected(fit) if fit.experiments else None
     if physical:
         parts.append(estimates_table(physical, coloured=errors))
@@ -83,13 +83,6 @@ def corrected(fit: FitResult, again: bool = False) -> Estimates | None:
     except PhugoidError:  # no correction for this fit
         return None
     return found if np.isfinite(found.std_errors_array).any() else None
-
-
-def _header(fit: FitResult) -> str:
-    entries = _entries(fit)
-    width = max(map(len, entries))
-    lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
-    return "\n".join([str(fit.model.name), *lines])
 
 
 def _entries(fit: FitResult) -> dict[str, str]:

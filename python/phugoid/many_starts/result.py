@@ -15,7 +15,7 @@ from ..errors import EvaluationError, OptionError, PhugoidError
 from ..estimation.starts import Outcome, Problem
 from ..fit_result import FitResult
 from ..notebook import Rows, bullets, overview
-from ..parameters import Parameter, text_table
+from ..parameters import Parameter, facts_text, text_table
 from ..result import Fit
 from ..summary import _duration
 from ..tabular import package
@@ -128,7 +128,7 @@ class Multistart:
 
     def summary(self) -> str:
         """Plain text: which optima there are, how many starts reached them, and which starts failed how."""
-        parts = [self._header()]
+        parts = [facts_text(f"{self.problem.model.name}: multistart, {self.status}", self._entries())]
         if self.optima:
             more = self._more_optima()
             parts.append(text_table(*self._optima_rows()) + (f"\n{more}" if more else ""))
@@ -192,12 +192,6 @@ class Multistart:
             remarks=[*filter(None, [self._more_optima()]), *self._judgement(), *failed, *self.warnings],
             note=self.status,
         )
-
-    def _header(self) -> str:
-        entries = self._entries()
-        width = max(map(len, entries))
-        lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
-        return "\n".join([f"{self.problem.model.name}: multistart, {self.status}", *lines])
 
     def _entries(self) -> dict[str, str]:
         """Return the facts of the starts, by heading."""

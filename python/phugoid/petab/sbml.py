@@ -253,7 +253,7 @@ class SbmlModel:
                 self.initial[name] = formulas.from_sbml(assignment.getMath(), f"SBML initial assignment of {name}")
 
     def _events_of(self, model: Any, formulas: Formulas) -> None:
-        """Events at given times: constants step from one value to another, states jump."""
+        """Read events at given times: constants step from one value to another, states jump."""
         jumps: dict[str, list[_Jump]] = {}
         for event in model.getListOfEvents():
             place = f"SBML event {event.getId()}"

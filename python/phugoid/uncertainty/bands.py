@@ -113,12 +113,12 @@ def prediction_bands(
         check_ended(fit)
     if isinstance(experiment, Experiment):
         anew = re_estimated(fit, [experiment], biases, values or {}, progress)
-        _check_found(anew[0], experiment)
+        _check_found(anew.fit, experiment)
         if filtered:
             record, errors = elsewhere(fit, experiment, anew, values or {})
         else:
             record, errors = _elsewhere(fit, anew, coloured)
-        noise, e = Parametric.of(anew[0]), 0
+        noise, e = Parametric.of(anew.fit), 0
     else:
         if biases is not None or values is not None:
             raise OptionError("prediction_bands: biases and values are for an Experiment that the fit was not made on")

@@ -16,7 +16,7 @@ from ..goodness_of_fit import Match, Tolerance, match_rows
 from ..modelling.model import Model
 from ..modelling.noise import Noise
 from ..notebook import bullets, overview, sparkline
-from ..parameters import Estimates, estimates_html, estimates_table, text_table
+from ..parameters import Estimates, estimates_html, estimates_table, facts_text, text_table
 from ..records import Record, only
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class Validation:
     def summary(self) -> str:
         """Return the validation in plain text: fixed and re-estimated values, goodness of fit of each output, and its
         meaning."""
-        parts = [self._header()]
+        parts = [facts_text(f"{self.model.name}: validation", self._entries())]
         if self.freed:
             parts.append(estimates_table(self.freed.values(), title="freed"))
         parts.append(text_table(*match_rows(self.matches.values())))
@@ -128,12 +128,6 @@ class Validation:
             pictures={n: sparkline(z, first.outputs[n], first.t) for n, z in first.measured.items()},
             note=self.status,
         )
-
-    def _header(self) -> str:
-        entries = self._entries()
-        width = max(map(len, entries))
-        lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
-        return "\n".join([f"{self.model.name}: validation", *lines])
 
     def _entries(self) -> dict[str, str]:
         """Return the facts of the validation, by heading."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,21 @@ from .result import Validation
 
 __all__ = ["ReEstimated", "re_estimated", "shared", "validate"]
 
-ReEstimated: TypeAlias = tuple[FitResult, tuple[str, ...], dict[str, float], tuple[str, ...]]
-"""What `re_estimated` returns."""
+
+class ReEstimated(NamedTuple):
+    """Hold a fit of initial states and biases alone to other experiments.
+
+    fit       of the model with all other parameters fixed.
+    free      names of the biases.
+    held      values of the other parameters.
+    warnings  about the fit and the experiments.
+    """
+
+    fit: FitResult
+    free: tuple[str, ...]
+    held: dict[str, float]
+    warnings: tuple[str, ...]
+
 
 # Records share samples where as many as this agree to the bit.
 _SHARED = 3
@@ -97,8 +110,7 @@ def re_estimated(
     values: Any,
     progress: bool | Callable[[Iteration], None] = False,
 ) -> ReEstimated:
-    """Return the fit of initial states and biases alone to other experiments; the names of the biases, the values of
-    the other parameters, and warnings. Raises as `Fit.validate` does."""
+    """Fit initial states and biases alone to other experiments; raises as `Fit.validate` does."""
     free = _free(fit, biases, values)
     held = _held(fit, free, values)
     mesh = mesh_for(fit, experiments)
@@ -113,7 +125,7 @@ def re_estimated(
     solver = None if isinstance(mesh, FilterError) else Newton(regression=False)
     begin = _start(fit, slim, held, free)
     found = estimate(slim, experiments, transcription=mesh, noise=noise, start=begin, solver=solver, progress=progress)
-    return found, free, held, warnings
+    return ReEstimated(found, free, held, warnings)
 
 
 def _predicted(record: Record) -> Record:

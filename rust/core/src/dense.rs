@@ -206,6 +206,12 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
+/// Returns the largest magnitude of some numbers: 0 without any, infinity where one is NaN.
+pub fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
+    let larger = |a: f64, b: f64| if b.is_nan() { f64::INFINITY } else { a.max(b.abs()) };
+    values.into_iter().fold(0.0, larger)
+}
+
 /// Makes a square matrix symmetric, which rounding has made it not quite.
 pub fn symmetrise(a: &mut [f64], n: usize) {
     for i in 0..n {

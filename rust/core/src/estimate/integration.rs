@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use super::Transcription;
 use super::fit::{Fit, Record};
 use super::print::short;
+use crate::dense::largest;
 use crate::error::Error;
 use crate::evaluator::at_points;
 use crate::experiment::Experiment;
@@ -136,11 +137,8 @@ impl CollocatedPath<'_> {
                 });
                 let slope = |a: usize, b: usize, l: usize| jacobian[a * n + b][k * m + l];
                 let e = rules.departure(slope, &defect, edges[s + 1] - edges[s]);
-                let largest = |largest: f64, e: &f64| {
-                    if e.is_nan() { f64::INFINITY } else { largest.max(e.abs()) }
-                };
                 for (of_state, e) in errors.iter_mut().zip(e.row_iter()) {
-                    of_state[s] = e.iter().fold(0.0, largest);
+                    of_state[s] = largest(e.iter().copied());
                 }
             }
         }

@@ -9,6 +9,7 @@ use super::run::Watch;
 use super::segments::Motion;
 use super::{Earlier, Estimation, Path, Start};
 use crate::condition::End;
+use crate::dense::largest;
 use crate::error::{Error, ErrorKind};
 use crate::experiment::{Experiment, Signal};
 use crate::mesh::Grid;
@@ -23,13 +24,13 @@ const APART: f64 = 1e-12;
 /// Iterations on one mesh before it is moved, and how often it is. The last mesh has no limit of its own.
 const ITERATIONS: usize = 25;
 const MOVES: usize = 8;
-/// Where an end on a mesh does not suit, its local error is to be so many times less, and the square root of that where a run is
-/// not yet at its end; at least the last.
+/// Divides the local error of the segments where an end does not suit; its square root does so during a run.
 const FINER: f64 = 16.0;
+/// Limits the local error from below.
 const FINEST: f64 = 1e-9;
 /// A mesh suits where outputs differ from those of an integration by less than this part of the residuals.
 const SUITS: f64 = 0.01;
-/// Where they differ by more than this, a mesh says nothing of the likelihood.
+/// Bounds that difference beyond which a mesh says nothing of the likelihood.
 pub(super) const FAR: f64 = 0.1;
 /// How often a mesh is divided, at most, where the model cannot be simulated with what it led to.
 const DIVISIONS: usize = 3;
@@ -39,7 +40,7 @@ const RATE: f64 = 0.1;
 /// Values of parameters by name.
 pub(super) type Values = Vec<(String, f64)>;
 
-/// How exact meshes along a motion are.
+/// Sets the accuracy of meshes along a motion.
 #[derive(Clone, Copy)]
 pub(super) struct Accuracy {
     /// Tolerance of the integration.
@@ -48,8 +49,9 @@ pub(super) struct Accuracy {
     pub local: f64,
 }
 
-/// Of the search, and of the last run.
+/// Suffices for the search.
 pub(super) const SEARCH: Accuracy = Accuracy { tolerance: 1e-6, local: 1e-3 };
+/// Holds for the last run.
 pub(super) const FINAL: Accuracy = Accuracy { tolerance: 1e-7, local: 1e-4 };
 
 /// A simulation of one experiment: its motion, and outputs at the samples.
@@ -82,16 +84,15 @@ impl Estimation<'_> {
 
     fn motion(&self, run: &Experiment, values: &Values, tolerance: f64) -> Option<Simulated> {
         let of = |name: &str| values.iter().find(|v| v.0 == name).map(|v| v.1);
-        let simulate = |run: &Experiment| {
-            let mut simulation =
-                Simulation::new(self.model, run).tolerance(tolerance).time_limit(LONGEST).with_slopes();
+        let simulation = |run| {
+            let mut simulation = Simulation::new(self.model, run).tolerance(tolerance).time_limit(LONGEST);
             for p in &self.model.parameters {
                 let own = of(&format!("{}[{}]", p.name, run.name)).or_else(|| of(&p.name));
                 simulation = simulation.parameter(&p.name, own.unwrap_or(p.start));
             }
-            simulation.run().ok()
+            simulation
         };
-        let path = simulate(run)?;
+        let path = simulation(run).run().ok()?;
         if path.steps.len() > MOST {
             return None;
         }
@@ -106,12 +107,12 @@ impl Estimation<'_> {
             t: times.clone(),
             ..run.clone()
         };
-        let finer = simulate(&finer)?;
+        let finer = simulation(&finer).with_slopes().run().ok()?;
         let motion = Motion { ends: steps, times, states: finer.states, slopes: finer.slopes };
         Some(Simulated { motion, outputs: path.outputs })
     }
 
-    /// Estimates on meshes that follow the motion: the steps of an integration with the parameters as they are.
+    /// Estimates on meshes that follow the motion: segments along a simulation with the parameters as they are.
     ///
     /// With few samples these say nothing of where a mesh must be fine, and a path that starts as a solution of the
     /// equations can be kept one. A run that is behind the `best` log-likelihood and does not gain on it from one mesh to
@@ -253,8 +254,7 @@ impl Fit {
             }
             if off > 0.0 { (off / residual).sqrt() } else { off }
         };
-        let all = (0..self.model.outputs.len()).map(of_output);
-        let larger = |a: f64, b: f64| if b.is_nan() { f64::INFINITY } else { a.max(b) };
-        if self.feasible { all.fold(0.0, larger) } else { f64::INFINITY }
+        let outputs = 0..self.model.outputs.len();
+        if self.feasible { largest(outputs.map(of_output)) } else { f64::INFINITY }
     }
 }

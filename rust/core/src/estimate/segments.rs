@@ -1,5 +1,7 @@
 //! The segments of a mesh along a known motion: as long as the local error of collocation allows.
 
+use super::refine::in_parts;
+use crate::dense::largest;
 use crate::lgl::Lgl;
 
 /// A state below this part of its largest value counts as this large where errors are weighed.
@@ -30,8 +32,7 @@ impl Motion {
             return self.ends.clone();
         }
         let lgl = Lgl::new(order);
-        let largest = |x: &Vec<f64>| x.iter().fold(0.0, |l: f64, x| l.max(x.abs()));
-        let least: Vec<f64> = self.states.iter().map(|x| SMALL * largest(x)).collect();
+        let least = self.states.iter().map(|x| SMALL * largest(x.iter().copied())).collect();
         let rises = lgl.nodes.iter().map(|node| lgl.integrate_to(0, *node)).collect();
         let rule = Quadrature { motion: self, nodes: &lgl.nodes, rises, least };
         let suits = |from: f64, to: f64| rule.error(from, to) <= tolerance;
@@ -58,16 +59,12 @@ impl Motion {
                 if fits(next) { steps = next } else { beyond = next }
             }
             if steps == 0 {
-                let (from, to) = (self.ends[at], self.ends[at + 1]);
-                let piece = |k: usize, pieces: usize| from + (to - from) * (k as f64 / pieces as f64);
-                let all_suit = |pieces: &usize| {
-                    (0..*pieces).all(|k| {
-                        suits(piece(k, *pieces), if k + 1 < *pieces { piece(k + 1, *pieces) } else { to })
-                    })
-                };
-                let doubled = std::iter::successors(Some(2), |p| (2 * p <= PIECES).then_some(2 * p));
-                let pieces = doubled.clone().find(all_suit).unwrap_or(PIECES);
-                found.extend((1..pieces).map(|k| piece(k, pieces)));
+                let divided = |pieces| in_parts(&self.ends[at..=at + 1], pieces);
+                let mut pieces = 2;
+                while pieces < PIECES && !divided(pieces).windows(2).all(|w| suits(w[0], w[1])) {
+                    pieces *= 2;
+                }
+                found.extend(&divided(pieces)[1..pieces]);
                 steps = 1;
             }
             (at, length) = (at + steps, steps);
@@ -105,7 +102,7 @@ struct Quadrature<'a> {
     nodes: &'a [f64],
     /// Weights of the slopes in the integral up to each node, per unit length.
     rises: Vec<Vec<f64>>,
-    /// What counts for the size of each state where it is smaller.
+    /// Replaces the size of each state where that is smaller.
     least: Vec<f64>,
 }
 
@@ -121,31 +118,22 @@ impl Quadrature<'_> {
             .map(|(j, node)| {
                 let t = if j + 1 == m { to } else { from + (to - from) * node };
                 // The last node belongs to the step that it ends.
-                let after = if j + 1 == m {
-                    ends.partition_point(|e| *e < t)
-                } else {
-                    ends.partition_point(|e| *e <= t)
-                };
+                let after = ends.partition_point(|e| *e < t || (*e == t && j + 1 < m));
                 let step = after.clamp(1, ends.len() - 1) - 1;
                 (step, (t - ends[step]) / (ends[step + 1] - ends[step]))
             })
             .collect();
-        let mut worst = 0.0_f64;
-        for (i, least) in self.least.iter().enumerate() {
+        let of_state = |(i, least): (usize, &f64)| {
             let points: Vec<(f64, f64)> = places.iter().map(|(step, u)| motion.at(*step, *u, i)).collect();
             let size = points.iter().fold(*least, |l, p| l.max(p.0.abs()));
-            for (j, (x, _)) in points.iter().enumerate().skip(1) {
+            let at_node = |(j, (x, _)): (usize, &(f64, f64))| {
                 let rise: f64 = self.rises[j].iter().zip(&points).map(|(w, p)| w * p.1).sum();
-                let error = (x - points[0].0 - (to - from) * rise).abs();
-                if error > 0.0 {
-                    worst = worst.max(error / size)
-                }
-                if error.is_nan() {
-                    worst = f64::INFINITY
-                }
-            }
-        }
-        worst
+                x - points[0].0 - (to - from) * rise
+            };
+            let error = largest(points.iter().enumerate().skip(1).map(at_node));
+            if error > 0.0 { error / size } else { 0.0 } // a state that is 0 has no size
+        };
+        largest(self.least.iter().enumerate().map(of_state))
     }
 }
 

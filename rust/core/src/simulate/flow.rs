@@ -18,7 +18,7 @@ const LOOKED_AT: usize = 64;
 /// A state so many times as large as it ever was at an end of an interval has grown without limit.
 const GROWN: f64 = 1e6;
 
-/// What an integration found.
+/// Holds the result of an integration.
 struct Steps {
     /// States at the knots.
     states: Vec<Vec<f64>>,
@@ -153,10 +153,12 @@ impl<'a> Flow<'a> {
         for k in 1..self.knots.len() {
             let (begin, end) = (self.knots[k - 1], self.knots[k]);
             self.field.enter(begin, end);
-            let mut ends = [vec![0.0; first.len()], vec![0.0; first.len()]];
-            if with_slopes {
-                self.field.slope(0.0, &integrator.x, &mut ends[0]);
-            }
+            let slope = |field: &mut Field<'_>, after, x: &[f64]| {
+                let mut slope = vec![0.0; x.len()];
+                field.slope(after, x, &mut slope);
+                slope
+            };
+            let at_begin = with_slopes.then(|| slope(&mut self.field, 0.0, &integrator.x));
             if let Err(lost) = integrator.interval(&mut self.field, end - begin) {
                 let bad = self.field.bad.take();
                 let mut largest = self.sizes(first, self.knots[self.knots.len() - 1] - self.knots[0]);
@@ -166,9 +168,8 @@ impl<'a> Flow<'a> {
                 self.field.bad = bad;
                 return Err(self.failure(begin, &integrator, lost, &largest));
             }
-            if with_slopes {
-                self.field.slope(end - begin, &integrator.x, &mut ends[1]);
-                slopes.push(ends);
+            if let Some(at_begin) = at_begin {
+                slopes.push([at_begin, slope(&mut self.field, end - begin, &integrator.x)]);
             }
             states.push(integrator.x.clone());
             let inner = &integrator.taken[..integrator.taken.len() - 1];

@@ -9,7 +9,7 @@
 use std::ops::Range;
 
 use super::program::Program;
-use crate::dense::eliminate;
+use crate::dense::{eliminate, largest};
 
 /// Defects below this part of the unit of their state are none.
 const SATISFIED: f64 = 1e-8;
@@ -55,7 +55,7 @@ impl Block {
 #[derive(Default)]
 struct March {
     blocks: Range<usize>,
-    /// Those that are solved now; none at the end.
+    /// Holds those that are solved now; none at the end.
     window: Range<usize>,
     /// States before the first step.
     before: Vec<f64>,
@@ -235,7 +235,7 @@ impl Restoration {
                 return false;
             }
             let blocks = self.blocks.iter();
-            let size = blocks.map(|b| defect_of(program, b, &self.c, xi)).fold(0.0, f64::max);
+            let size = largest(blocks.map(|b| defect_of(program, b, &self.c, xi)));
             if size <= 1.0 {
                 return true;
             }
@@ -290,11 +290,8 @@ impl Restoration {
                 let mut window = march.window.clone();
                 if window.all(|k| self.step_of(k)) {
                     march.part = 1.0;
-                    self.blocks[march.window.clone()]
-                        .iter()
-                        .flat_map(|b| &b.columns)
-                        .for_each(|&i| xi[i] += self.d[i]);
                     march.step = self.columns(march).map(|i| self.d[i]).collect();
+                    self.columns(march).zip(&march.step).for_each(|(i, d)| xi[i] += d);
                 } else {
                     march.left = 0;
                 }
@@ -328,10 +325,8 @@ impl Restoration {
         }
         self.hold(first, march.blocks.end, xi);
         march.before = self.columns(march).map(|i| xi[i]).collect();
-        (march.last, march.left, march.steps) = (f64::INFINITY, OF_WINDOW, false);
-        if march.window.len() == 1 {
-            march.left = IN_TURN;
-        }
+        march.left = if march.window.len() == 1 { IN_TURN } else { OF_WINDOW };
+        (march.last, march.steps) = (f64::INFINITY, false);
     }
 
     /// Looks at the defects of a window: turns to the next one where there are none, takes back what led nowhere, and says
@@ -342,32 +337,26 @@ impl Restoration {
         }
         let width = march.window.len();
         let blocks = self.blocks[march.window.clone()].iter();
-        let size = blocks.map(|b| defect_of(program, b, &self.c, xi)).fold(0.0, f64::max);
+        let size = largest(blocks.map(|b| defect_of(program, b, &self.c, xi)));
         if size <= 1.0 {
             self.begin(march, 2 * width, xi);
             return if march.window.is_empty() { Todo::Nothing } else { Todo::Evaluation };
         }
-        let contracts = if width > 1 {
-            size < march.last && size.is_finite()
-        } else {
-            size < march.last || (march.steps && march.part == 1.0 && size <= 2.0 * march.last)
-        };
+        // A full step of a block by itself may be a detour.
+        let detour = width == 1 && march.steps && march.part == 1.0;
+        let contracts = size < march.last || (detour && size <= 2.0 * march.last);
         if width == 1 && march.steps && !contracts && march.part >= 1e-2 {
             // A shorter one of the same step.
             let shorter = 0.4 * march.part;
-            for (k, i) in self.columns(march).enumerate() {
-                xi[i] -= (march.part - shorter) * march.step[k];
-            }
+            self.columns(march).zip(&march.step).for_each(|(i, d)| xi[i] -= (march.part - shorter) * d);
             march.part = shorter;
             return Todo::Evaluation;
         }
-        if !contracts || march.left == 0 || !size.is_finite() {
+        if !contracts || march.left == 0 {
             if width == 1 {
                 return Todo::Lost;
             }
-            for (k, i) in self.columns(march).enumerate() {
-                xi[i] = march.before[k];
-            }
+            self.columns(march).zip(&march.before).for_each(|(i, x)| xi[i] = *x);
             march.window.end = march.window.start;
             self.begin(march, width.div_ceil(4), xi);
             return Todo::Evaluation;
@@ -406,8 +395,7 @@ impl Restoration {
 /// The largest defect of a block, 1 where it counts as none, infinite where it is not a number.
 fn defect_of(program: &Program<'_>, block: &Block, c: &[f64], xi: &[f64]) -> f64 {
     let one = |(&row, &column): (&usize, &usize)| {
-        c[row].abs() / (SATISFIED * program.units.of(row)).max(ROUNDING * xi[column].abs())
+        c[row] / (SATISFIED * program.units.of(row)).max(ROUNDING * xi[column].abs())
     };
-    let larger = |a: f64, b: f64| if b.is_nan() { f64::INFINITY } else { a.max(b) };
-    block.rows.iter().zip(&block.columns).map(one).fold(0.0, larger)
+    largest(block.rows.iter().zip(&block.columns).map(one))
 }

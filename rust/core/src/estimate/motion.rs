@@ -12,6 +12,7 @@ use crate::condition::End;
 use crate::dense::largest;
 use crate::error::{Error, ErrorKind};
 use crate::experiment::{Experiment, Signal};
+use crate::interrupt::current;
 use crate::mesh::Grid;
 use crate::simulate::Simulation;
 use crate::solver::Status;
@@ -34,6 +35,12 @@ const SUITS: f64 = 0.01;
 pub(super) const FAR: f64 = 0.1;
 /// How often a mesh is divided, at most, where the model cannot be simulated with what it led to.
 const DIVISIONS: usize = 3;
+/// On one mesh after another, a run ends where a mesh brings less than this in log-likelihood; in the last run, the mesh then
+/// stays.
+const SLOW: f64 = 0.01;
+/// A mesh that loses more than this in log-likelihood has led astray, and so often at most.
+const LOST: f64 = 1.0;
+const ASTRAY: usize = 2;
 /// A run behind the best goes on where a mesh brings this part of what is missing.
 const RATE: f64 = 0.1;
 
@@ -47,12 +54,14 @@ pub(super) struct Accuracy {
     pub tolerance: f64,
     /// The local error of collocation that segments may have at first, as a part of each state.
     pub local: f64,
+    /// Whether the run goes on to the end where progress is slow.
+    pub thorough: bool,
 }
 
 /// Suffices for the search.
-pub(super) const SEARCH: Accuracy = Accuracy { tolerance: 1e-6, local: 1e-3 };
+pub(super) const SEARCH: Accuracy = Accuracy { tolerance: 1e-6, local: 1e-3, thorough: false };
 /// Holds for the last run.
-pub(super) const FINAL: Accuracy = Accuracy { tolerance: 1e-7, local: 1e-4 };
+pub(super) const FINAL: Accuracy = Accuracy { tolerance: 1e-7, local: 1e-4, thorough: true };
 
 /// A simulation of one experiment: its motion, and outputs at the samples.
 pub(super) struct Simulated {
@@ -115,7 +124,8 @@ impl Estimation<'_> {
     /// Estimates on meshes that follow the motion: segments along a simulation with the parameters as they are.
     ///
     /// With few samples these say nothing of where a mesh must be fine, and a path that starts as a solution of the
-    /// equations can be kept one. A run that is behind the `best` log-likelihood and does not gain on it from one mesh to
+    /// equations can be kept one. Where a mesh leads away from solutions, or to a lower likelihood, the run goes on from the
+    /// best end so far on a finer one. A run that is behind the `best` log-likelihood and does not gain on it from one mesh to
     /// the next ends early. None where the model cannot be simulated at the starting parameters, or has no finite
     /// derivatives there.
     pub(super) fn along_the_motion(
@@ -128,29 +138,18 @@ impl Estimation<'_> {
         let order = self.transcription.order;
         let mut local = accuracy.local;
         let mut at = values.clone();
-        let mut fit: Option<Fit> = None;
-        let (mut iterations, mut time, mut divisions) = (0, Duration::ZERO, 0);
+        let (mut fit, mut sound): (Option<Fit>, Option<Fit>) = (None, None);
+        let (mut iterations, mut time, mut divisions, mut astray) = (0, Duration::ZERO, 0, 0);
+        let mut runs = self.simulated(&at, accuracy.tolerance);
+        let mut last = false;
         for number in 0..=MOVES {
-            let last = number == MOVES;
-            let (grid, paths): (Vec<Grid>, Vec<Path>) = match (self.simulated(&at, accuracy.tolerance), &fit)
-            {
-                (Some(runs), fit) => {
-                    if let Some(fit) = fit {
-                        let off = fit.departure(&runs);
-                        if !is_unfinished(fit.status) {
-                            if off <= SUITS || local < FINEST {
-                                break;
-                            }
-                            local /= FINER;
-                        } else if off > FAR {
-                            local = (local / FINER.sqrt()).max(FINEST);
-                        } else if off < SUITS {
-                            local = accuracy.local.min(2.0 * local);
-                        }
-                    }
+            last |= number == MOVES;
+            let (grid, paths): (Vec<Grid>, Vec<Path>) = match (runs.take(), &fit) {
+                (Some(runs), _) => {
                     let one = |(run, found): (&Experiment, Simulated)| {
                         let edges = found.motion.segments(order, local, &fixed_times(run));
-                        (Grid::Edges(edges), self.named(found.motion.times, found.motion.states))
+                        let (times, states) = found.motion.on_mesh(order, &edges);
+                        (Grid::Edges(edges), self.named(times, states))
                     };
                     self.experiments.iter().zip(runs).map(one).unzip()
                 }
@@ -177,16 +176,51 @@ impl Estimation<'_> {
             };
             iterations += found.iterations;
             time += found.solution.time;
+            let stopped = found.status.was_stopped();
+            at = found.values();
+            runs = if stopped && sound.is_none() { None } else { self.simulated(&at, accuracy.tolerance) };
+            let off = runs.as_ref().map_or(f64::INFINITY, |runs| found.departure(runs));
+            let reached = found.log_likelihood;
+            let is_lost = |kept: &Fit| !found.feasible || off <= FAR && reached < kept.log_likelihood - LOST;
+            if let Some(kept) = sound.as_ref().filter(|kept| is_lost(kept)) {
+                astray += 1;
+                let mut back = kept.clone();
+                if stopped {
+                    (back.status, back.message) = (found.status, found.message);
+                }
+                fit = Some(back);
+                if last || stopped || current().stops() || astray > ASTRAY {
+                    break;
+                }
+                at = kept.values();
+                runs = self.simulated(&at, accuracy.tolerance);
+                local = (local / FINER).max(FINEST);
+                continue;
+            }
+            let unfinished = is_unfinished(found.status);
+            let slow = before.is_some_and(|before| off <= FAR && reached - before < SLOW);
             let behind = best.is_finite()
                 && before.is_some_and(|before| {
-                    let gain = found.log_likelihood - before;
-                    gain.is_nan() || gain <= RATE * (best - found.log_likelihood)
+                    let gain = reached - before;
+                    gain.is_nan() || gain <= RATE * (best - reached)
                 });
-            let ends = last || found.status.was_stopped() || behind;
-            at = found.parameters.iter().map(|e| (e.name.clone(), e.value)).collect();
+            if off <= FAR && sound.as_ref().is_none_or(|kept| reached > kept.log_likelihood) {
+                sound = Some(found.clone());
+            }
             fit = Some(found);
-            if ends {
+            if last || stopped || behind || unfinished && slow && !accuracy.thorough {
                 break;
+            }
+            last = unfinished && slow;
+            if !unfinished {
+                if off <= SUITS || local < FINEST {
+                    break;
+                }
+                local /= FINER;
+            } else if off > FAR {
+                local = (local / FINER.sqrt()).max(FINEST);
+            } else if off < SUITS {
+                local = accuracy.local.min(2.0 * local);
             }
         }
         Ok(fit.map(|mut fit| {
@@ -199,7 +233,9 @@ impl Estimation<'_> {
         Path { t, states: self.model.states.iter().map(|s| s.name.clone()).zip(states).collect() }
     }
 
-    /// The same estimation from other paths of the states and values of the parameters.
+    /// The same estimation from other paths of the states, which satisfy the equations with these values of the parameters.
+    ///
+    /// A regression on them would only return the values, also where every state is measured.
     fn along_paths(&self, paths: Vec<Path>, values: &Values) -> Self {
         let known = self.earlier.as_ref().map(|e| e.values.clone()).unwrap_or_default();
         let mut start = self.start.clone();
@@ -210,7 +246,8 @@ impl Estimation<'_> {
         let given = values.iter().filter(|v| !noise_of_one(&v.0));
         start.extend(given.map(|(name, value)| (name.clone(), Start::Value(*value))));
         let earlier = Some(Arc::new(Earlier { values: known, paths, ..Earlier::default() }));
-        Estimation { start, earlier, ..self.clone() }
+        let (regression, paths) = (self.regression.or(Some(false)), self.paths.or(Some(true)));
+        Estimation { start, earlier, regression, paths, ..self.clone() }
     }
 }
 
@@ -235,6 +272,11 @@ fn apart(steps: &[f64]) -> Vec<f64> {
 }
 
 impl Fit {
+    /// The values of its parameters.
+    pub(super) fn values(&self) -> Values {
+        self.parameters.iter().map(|e| (e.name.clone(), e.value)).collect()
+    }
+
     /// Whether its outputs are those of the integration.
     pub(super) fn suits(&self, runs: &[Simulated]) -> bool {
         self.departure(runs) <= SUITS

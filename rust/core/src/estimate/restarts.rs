@@ -97,8 +97,7 @@ impl Estimation<'_> {
             }
         }
         if !self.goes_on() && !fit.status.was_stopped() && !current().stops() {
-            let at: Values = fit.parameters.iter().map(|e| (e.name.clone(), e.value)).collect();
-            let last = self.along_the_motion(&at, f64::NEG_INFINITY, FINAL, watch)?;
+            let last = self.along_the_motion(&fit.values(), f64::NEG_INFINITY, FINAL, watch)?;
             if let Some(last) = last.filter(|last| last.status != Status::TimeLimit) {
                 iterations += last.iterations;
                 time += last.solution.time;
@@ -124,8 +123,7 @@ impl Estimation<'_> {
     ///
     /// A path on a mesh that is too coarse may cross a pole of the solution, or miss a fast motion.
     fn likelihood(&self, fit: &Fit) -> f64 {
-        let at: Values = fit.parameters.iter().map(|e| (e.name.clone(), e.value)).collect();
-        let runs = if fit.feasible { self.simulated(&at, SEARCH.tolerance) } else { None };
+        let runs = if fit.feasible { self.simulated(&fit.values(), SEARCH.tolerance) } else { None };
         let known = runs.is_some_and(|runs| fit.departure(&runs) <= FAR);
         if known { fit.log_likelihood } else { f64::NEG_INFINITY }
     }

@@ -73,6 +73,31 @@ impl Motion {
         found
     }
 
+    /// Returns the times of the nodes of all segments of an order, and the states there, `[state][time]`.
+    pub fn on_mesh(&self, order: usize, ends: &[f64]) -> (Vec<f64>, Vec<Vec<f64>>) {
+        if self.slopes.len() != 2 * (self.ends.len() - 1) {
+            return (self.times.clone(), self.states.clone());
+        }
+        let lgl = Lgl::new(order);
+        let mut times = vec![ends[0]];
+        for w in ends.windows(2) {
+            let inner = lgl.nodes[1..order - 1].iter().map(|node| w[0] + (w[1] - w[0]) * node);
+            times.extend(inner.chain([w[1]]));
+        }
+        let places: Vec<(usize, f64)> = times.iter().map(|t| self.place(*t, false)).collect();
+        let of_state = |i| places.iter().map(|(step, u)| self.at(*step, *u, i).0).collect();
+        (times, (0..self.states.len()).map(of_state).collect())
+    }
+
+    /// Returns the step to which a time belongs, and its part of the step; the end of a step belongs to the one after unless
+    /// it is to be the `last` of its own.
+    fn place(&self, t: f64, last: bool) -> (usize, f64) {
+        let ends = &self.ends;
+        let after = ends.partition_point(|e| *e < t || (*e == t && !last));
+        let step = after.clamp(1, ends.len() - 1) - 1;
+        (step, (t - ends[step]) / (ends[step + 1] - ends[step]))
+    }
+
     /// Returns a state and its slope at a time within a segment, by the polynomial of degree 5 through values and slopes at
     /// both ends and the middle of a step.
     fn at(&self, step: usize, u: f64, state: usize) -> (f64, f64) {
@@ -110,17 +135,13 @@ impl Quadrature<'_> {
     /// Returns the largest local error of any state at a node of a segment, in units of its size there.
     fn error(&self, from: f64, to: f64) -> f64 {
         let (motion, m) = (self.motion, self.nodes.len());
-        let ends = &motion.ends;
         let places: Vec<(usize, f64)> = self
             .nodes
             .iter()
             .enumerate()
             .map(|(j, node)| {
                 let t = if j + 1 == m { to } else { from + (to - from) * node };
-                // The last node belongs to the step that it ends.
-                let after = ends.partition_point(|e| *e < t || (*e == t && j + 1 < m));
-                let step = after.clamp(1, ends.len() - 1) - 1;
-                (step, (t - ends[step]) / (ends[step + 1] - ends[step]))
+                motion.place(t, j + 1 == m)
             })
             .collect();
         let of_state = |(i, least): (usize, &f64)| {

@@ -20,7 +20,7 @@ use super::termination::Ending;
 const NEAR: f64 = 10.0;
 const CLOSE: f64 = 1e-5;
 /// It ends, too, where so many steps together bring less than this.
-const SLOW: (usize, f64) = (25, 1e-3);
+const SLOW: (usize, f64) = (25, 5e-3);
 /// Standard deviations that start at the spread of the measurements are profiled once a step promises less than this.
 const SETTLED: f64 = 0.1;
 /// Radius of the first step, in units of sizes of variables; its limits.

@@ -3,8 +3,8 @@
 //! With these given, the constraints of a chain are a block triangular system of equations for all other states: of
 //! each segment, one after the other, as an implicit Runge-Kutta method solves them (Hairer and Wanner, Solving Ordinary
 //! Differential Equations II, section IV.8). Conditions on the first states come before. Newton's method for all blocks at once
-//! is tried from the states as they are; where that does not contract, windows of segments are solved, each from the end of the
-//! one before.
+//! is tried from the states as they are; where that does not contract, windows of segments are solved, each from the states as
+//! they are or, where these lead nowhere, from the end of the window before.
 
 use std::ops::Range;
 
@@ -15,6 +15,8 @@ use crate::dense::{eliminate, largest};
 const SATISFIED: f64 = 1e-8;
 /// The same of the state itself, where its unit is smaller than rounding errors of it.
 const ROUNDING: f64 = 1e-13;
+/// The same of the terms of which the defect is the difference, which are large where a segment is long for a fast motion.
+const CANCELLATION: f64 = 4.0 * f64::EPSILON;
 /// Most iterations for all blocks at once, for a window of them, and for one.
 const AT_ONCE: usize = 6;
 const OF_WINDOW: usize = 8;
@@ -59,6 +61,9 @@ struct March {
     window: Range<usize>,
     /// States before the first step.
     before: Vec<f64>,
+    /// Whether windows begin with the states as they are, and whether this one did.
+    follows: bool,
+    followed: bool,
     /// Largest defect before the last step, and steps that may be taken yet.
     last: f64,
     left: usize,
@@ -86,6 +91,8 @@ pub(super) struct Restoration {
     c: Vec<f64>,
     jacobian: Vec<f64>,
     d: Vec<f64>,
+    /// What rounding may leave of the defects, by row.
+    rounding: Vec<f64>,
     kept: Vec<f64>,
     matrix: Vec<f64>,
     right: Vec<f64>,
@@ -156,6 +163,7 @@ impl Restoration {
             c: vec![0.0; nlp.m()],
             jacobian: vec![0.0; structure.len()],
             d: vec![0.0; nlp.n()],
+            rounding: vec![0.0; nlp.m()],
             kept: vec![0.0; nlp.n()],
             matrix: Vec::new(),
             right: Vec::new(),
@@ -167,6 +175,7 @@ impl Restoration {
     /// their bounds.
     pub fn restore(&mut self, program: &Program<'_>, xi: &mut [f64]) -> bool {
         self.kept.copy_from_slice(xi);
+        self.rounding.fill(0.0);
         if !self.at_once(program, xi) {
             xi.copy_from_slice(&self.kept);
             if !self.in_turn(program, xi) || !self.at_once(program, xi) {
@@ -234,8 +243,11 @@ impl Restoration {
             if program.constraints(xi, &mut self.c).is_err() {
                 return false;
             }
-            let blocks = self.blocks.iter();
-            let size = largest(blocks.map(|b| defect_of(program, b, &self.c, xi)));
+            let mut size = self.largest_defect(program, 0..self.blocks.len(), xi);
+            if size > 1.0 && size >= 0.5 * last {
+                self.measure_rounding(0..self.blocks.len(), xi);
+                size = self.largest_defect(program, 0..self.blocks.len(), xi);
+            }
             if size <= 1.0 {
                 return true;
             }
@@ -258,7 +270,7 @@ impl Restoration {
     }
 
     /// Window after window of blocks of each chain, each from the end of the one before: as many at once as Newton's method
-    /// contracts for, from states that do not move. All chains advance together, since an evaluation is one of all of them.
+    /// contracts for, from the states as they are or from such as do not move. All chains advance together, since an evaluation is one of all of them.
     fn in_turn(&mut self, program: &Program<'_>, xi: &mut [f64]) -> bool {
         let mut marches = self.marches();
         if marches.iter().any(|m| m.blocks.len() > MOST_BLOCKS) {
@@ -305,7 +317,12 @@ impl Restoration {
         for (k, block) in self.blocks.iter().enumerate() {
             match found.last_mut().filter(|m| self.blocks[m.blocks.start].chain == block.chain) {
                 Some(march) => march.blocks.end = k + 1,
-                None => found.push(March { blocks: k..k + 1, window: k..k, ..March::default() }),
+                None => found.push(March {
+                    blocks: k..k + 1,
+                    window: k..k,
+                    follows: true,
+                    ..March::default()
+                }),
             }
         }
         found
@@ -315,30 +332,41 @@ impl Restoration {
         self.blocks[march.window.clone()].iter().flat_map(|b| b.columns.iter().copied())
     }
 
-    /// Turns to the next window of a chain, of so many blocks at most. From there on nothing moves, so that all is finite
-    /// where it is so there.
+    /// Turns to the next window of a chain, of so many blocks at most.
     fn begin(&self, march: &mut March, width: usize, xi: &mut [f64]) {
         let first = march.window.end;
         march.window = first..(first + width).min(march.blocks.end);
         if march.window.is_empty() {
             return;
         }
-        self.hold(first, march.blocks.end, xi);
+        march.followed = march.follows;
+        if !march.follows {
+            self.hold(march, xi);
+        }
         march.before = self.columns(march).map(|i| xi[i]).collect();
+        self.start(march);
+    }
+
+    fn start(&self, march: &mut March) {
         march.left = if march.window.len() == 1 { IN_TURN } else { OF_WINDOW };
         (march.last, march.steps) = (f64::INFINITY, false);
     }
 
     /// Looks at the defects of a window: turns to the next one where there are none, takes back what led nowhere, and says
     /// whether a step is due.
-    fn judge(&self, program: &Program<'_>, march: &mut March, xi: &mut [f64]) -> Todo {
+    fn judge(&mut self, program: &Program<'_>, march: &mut March, xi: &mut [f64]) -> Todo {
         if march.window.is_empty() {
             return Todo::Nothing;
         }
         let width = march.window.len();
-        let blocks = self.blocks[march.window.clone()].iter();
-        let size = largest(blocks.map(|b| defect_of(program, b, &self.c, xi)));
+        let mut size = self.largest_defect(program, march.window.clone(), xi);
+        if size > 1.0 && march.steps && size >= 0.5 * march.last {
+            self.measure_rounding(march.window.clone(), xi);
+            size = self.largest_defect(program, march.window.clone(), xi);
+        }
         if size <= 1.0 {
+            // States that led nowhere say nothing of what comes next.
+            march.follows &= march.followed;
             self.begin(march, 2 * width, xi);
             return if march.window.is_empty() { Todo::Nothing } else { Todo::Evaluation };
         }
@@ -353,6 +381,12 @@ impl Restoration {
             return Todo::Evaluation;
         }
         if !contracts || march.left == 0 {
+            if march.followed {
+                march.followed = false;
+                self.hold(march, xi);
+                self.start(march);
+                return Todo::Evaluation;
+            }
             if width == 1 {
                 return Todo::Lost;
             }
@@ -365,10 +399,10 @@ impl Restoration {
         Todo::Step
     }
 
-    /// Sets all states of a chain from a block on to those that the block starts from.
-    fn hold(&self, first: usize, end: usize, xi: &mut [f64]) {
-        let Some(point) = self.blocks[first].before else { return };
-        for b in &self.blocks[first..end] {
+    /// Sets all states of a window to those that it starts from: nothing moves, so that all is finite where it is so there.
+    fn hold(&self, march: &March, xi: &mut [f64]) {
+        let Some(point) = self.blocks[march.window.start].before else { return };
+        for b in &self.blocks[march.window.clone()] {
             for (i, &column) in b.columns.iter().enumerate() {
                 xi[column] = xi[point + i % self.n_x];
             }
@@ -390,12 +424,28 @@ impl Restoration {
         block.columns.iter().zip(&self.right).for_each(|(&i, x)| self.d[i] = *x);
         true
     }
-}
 
-/// The largest defect of a block, 1 where it counts as none, infinite where it is not a number.
-fn defect_of(program: &Program<'_>, block: &Block, c: &[f64], xi: &[f64]) -> f64 {
-    let one = |(&row, &column): (&usize, &usize)| {
-        c[row] / (SATISFIED * program.units.of(row)).max(ROUNDING * xi[column].abs())
-    };
-    largest(block.rows.iter().zip(&block.columns).map(one))
+    /// Sets what rounding may leave of the defects of some blocks, from the last Jacobian.
+    fn measure_rounding(&mut self, blocks: Range<usize>, xi: &[f64]) {
+        for block in &self.blocks[blocks] {
+            block.rows.iter().for_each(|&row| self.rounding[row] = 0.0);
+            let own = block.own.iter().map(|&(entry, r, c)| (entry, r, block.columns[c]));
+            for (entry, r, column) in own.chain(block.others.iter().copied()) {
+                self.rounding[block.rows[r]] += CANCELLATION * (self.jacobian[entry] * xi[column]).abs();
+            }
+        }
+    }
+
+    fn largest_defect(&self, program: &Program<'_>, blocks: Range<usize>, xi: &[f64]) -> f64 {
+        largest(self.blocks[blocks].iter().map(|b| self.defect_of(program, b, xi)))
+    }
+
+    /// The largest defect of a block, at most 1 where it counts as none, infinite where it is not a number.
+    fn defect_of(&self, program: &Program<'_>, block: &Block, xi: &[f64]) -> f64 {
+        let one = |(&row, &column): (&usize, &usize)| {
+            let least = (SATISFIED * program.units.of(row)).max(ROUNDING * xi[column].abs());
+            self.c[row] / least.max(self.rounding[row])
+        };
+        largest(block.rows.iter().zip(&block.columns).map(one))
+    }
 }

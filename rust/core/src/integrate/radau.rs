@@ -3,20 +3,27 @@
 
 #![allow(clippy::needless_range_loop)] // the notation of matrices: one index into several arrays
 
-use nalgebra::{DMatrix, DVector, Dyn, LU};
+use nalgebra::{Complex, DMatrix, DVector, Dyn, LU};
 
 use super::field::Field;
 
 const S6: f64 = 2.449_489_742_783_178;
 const C: [f64; 3] = [(4.0 - S6) / 10.0, (4.0 + S6) / 10.0, 1.0];
-const A: [[f64; 3]; 3] = [
-    [(88.0 - 7.0 * S6) / 360.0, (296.0 - 169.0 * S6) / 1800.0, (-2.0 + 3.0 * S6) / 225.0],
-    [(296.0 + 169.0 * S6) / 1800.0, (88.0 + 7.0 * S6) / 360.0, (-2.0 - 3.0 * S6) / 225.0],
-    [(16.0 - S6) / 36.0, (16.0 + S6) / 36.0, 1.0 / 9.0],
-];
-/// Error estimate: weights of the stages, and the real eigenvalue of A⁻¹, 3 + ∛9 − ∛3.
+/// Error estimate: weights of the stages.
 const E: [f64; 3] = [(-13.0 - 7.0 * S6) / 3.0, (-13.0 + 7.0 * S6) / 3.0, -1.0 / 3.0];
+/// A⁻¹ = T Λ T⁻¹ of the coefficients A of the method, where Λ has the real eigenvalue 3 + ∛9 − ∛3 and a complex pair, of which this is one (Eqs. IV.8.12 to 14).
 const REAL: f64 = 3.637_834_252_744_496;
+const PAIR: (f64, f64) = (2.681_082_873_627_752, -3.050_430_199_247_410_5);
+const T: [[f64; 3]; 3] = [
+    [0.094_438_762_488_975_24, -0.141_255_295_020_954_2, 0.030_029_194_105_147_42],
+    [0.250_213_122_965_333_3, 0.204_129_352_293_799_94, -0.382_942_112_757_261_9],
+    [1.0, 1.0, 0.0],
+];
+const INVERSE: [[f64; 3]; 3] = [
+    [4.178_718_591_551_904, 0.327_682_820_761_062_4, 0.523_376_445_499_449_5],
+    [-4.178_718_591_551_904, -0.327_682_820_761_062_4, 0.476_623_554_500_550_44],
+    [0.502_872_634_945_786_8, -2.571_926_949_855_605, 0.596_039_204_828_224_9],
+];
 /// Most iterations of Newton's method for the stages, and the part of the allowed error that they may leave.
 const ITERATIONS: usize = 10;
 const LEFT: f64 = 1e-3;
@@ -57,11 +64,17 @@ impl Radau {
         if !field.jacobian(t, x, &mut self.jacobian) {
             return None;
         }
-        let system = DMatrix::from_fn(3 * n, 3 * n, |r, c| {
-            let entry = -h * A[r / n][c / n] * self.jacobian[r % n * n + c % n];
-            if r == c { 1.0 + entry } else { entry }
-        });
-        let system = system.lu();
+        let (real, pair) = (REAL / h, Complex::new(PAIR.0 / h, PAIR.1 / h));
+        let filter = DMatrix::from_fn(n, n, |r, c| {
+            let own = if r == c { real } else { 0.0 };
+            own - self.jacobian[r * n + c]
+        })
+        .lu();
+        let system = DMatrix::from_fn(n, n, |r, c| {
+            let own = if r == c { pair } else { Complex::new(0.0, 0.0) };
+            own - self.jacobian[r * n + c]
+        })
+        .lu();
         let size = |i: usize, x: &[f64]| absolute[i] + relative * x[i].abs();
         self.z.fill(0.0);
         let mut before = f64::INFINITY;
@@ -75,11 +88,24 @@ impl Radau {
                     return None;
                 }
             }
-            let rest = DVector::from_fn(3 * n, |r, _| {
-                let sum: f64 = (0..3).map(|s| A[r / n][s] * self.f[s * n + r % n]).sum();
-                h * sum - self.z[r]
+            // In the coordinates w of z = T w, one real system and one complex one (Eq. IV.8.13).
+            let rest = |k: usize, i: usize| -> (f64, f64) {
+                let sum = |x: &[f64]| (0..3).map(|s| INVERSE[k][s] * x[s * n + i]).sum::<f64>();
+                (sum(&self.f), sum(self.z.as_slice()))
+            };
+            let of_real = DVector::from_fn(n, |i, _| {
+                let (f, w) = rest(0, i);
+                f - real * w
             });
-            let step = system.solve(&rest)?;
+            let of_pair = DVector::from_fn(n, |i, _| {
+                let ((f, w), (g, v)) = (rest(1, i), rest(2, i));
+                Complex::new(f, g) - pair * Complex::new(w, v)
+            });
+            let (of_real, of_pair) = (filter.solve(&of_real)?, system.solve(&of_pair)?);
+            let step = DVector::from_fn(3 * n, |r, _| {
+                let (s, i) = (r / n, r % n);
+                T[s][0] * of_real[i] + T[s][1] * of_pair[i].re + T[s][2] * of_pair[i].im
+            });
             self.z += &step;
             let moved = (0..3 * n).map(|r| (step[r] / size(r % n, x)).powi(2)).sum::<f64>();
             let moved = (moved / (3 * n) as f64).sqrt();
@@ -101,7 +127,7 @@ impl Radau {
         for i in 0..n {
             self.next[i] = x[i] + self.z[2 * n + i];
         }
-        self.error(field, (t, h), (x, slope), |i, next| {
+        self.error(field, (t, h), (x, slope), &filter, |i, next| {
             absolute[i] + relative * x[i].abs().max(next[i].abs())
         })
     }
@@ -112,14 +138,10 @@ impl Radau {
         field: &mut Field<'_>,
         (t, h): (f64, f64),
         (x, slope): (&[f64], &[f64]),
+        filter: &LU<f64, Dyn, Dyn>,
         size: impl Fn(usize, &[f64]) -> f64,
     ) -> Option<f64> {
         let n = x.len();
-        let filter: LU<f64, Dyn, Dyn> = DMatrix::from_fn(n, n, |r, c| {
-            let own = if r == c { REAL / h } else { 0.0 };
-            own - self.jacobian[r * n + c]
-        })
-        .lu();
         let ends = DVector::from_fn(n, |i, _| (0..3).map(|s| E[s] * self.z[s * n + i]).sum::<f64>() / h);
         let mut error = filter.solve(&(DVector::from_column_slice(slope) + &ends))?;
         let norm = |e: &DVector<f64>, next: &[f64]| {
@@ -135,5 +157,41 @@ impl Radau {
             }
         }
         Some(norm(&error, &self.next)).filter(|e| e.is_finite())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The coefficients of the method.
+    const A: [[f64; 3]; 3] = [
+        [(88.0 - 7.0 * S6) / 360.0, (296.0 - 169.0 * S6) / 1800.0, (-2.0 + 3.0 * S6) / 225.0],
+        [(296.0 + 169.0 * S6) / 1800.0, (88.0 + 7.0 * S6) / 360.0, (-2.0 - 3.0 * S6) / 225.0],
+        [(16.0 - S6) / 36.0, (16.0 + S6) / 36.0, 1.0 / 9.0],
+    ];
+
+    #[test]
+    fn the_coordinates_part_the_stages_into_one_real_and_one_complex_system() {
+        let product = |a: &dyn Fn(usize, usize) -> f64,
+                       b: &dyn Fn(usize, usize) -> f64,
+                       r: usize,
+                       c: usize| { (0..3).map(|k| a(r, k) * b(k, c)).sum::<f64>() };
+        // w' = Λ w, where (w2 + i w3)' = PAIR (w2 + i w3).
+        let (alpha, beta) = PAIR;
+        let lambda = [[REAL, 0.0, 0.0], [0.0, alpha, -beta], [0.0, beta, alpha]];
+        let (t, l, i) = (|r: usize, c| T[r][c], |r: usize, c| lambda[r][c], |r: usize, c| INVERSE[r][c]);
+        let back = |r, c| product(&l, &i, r, c);
+        let inverse = |r, c| product(&t, &back, r, c);
+        for r in 0..3 {
+            for c in 0..3 {
+                let one = f64::from(u8::from(r == c));
+                assert!((product(&t, &i, r, c) - one).abs() < 1e-14, "T T⁻¹, {r}, {c}");
+                assert!(
+                    (product(&|r, c| A[r][c], &inverse, r, c) - one).abs() < 1e-13,
+                    "A T Λ T⁻¹, {r}, {c}"
+                );
+            }
+        }
     }
 }

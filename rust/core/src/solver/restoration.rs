@@ -317,12 +317,9 @@ impl Restoration {
         for (k, block) in self.blocks.iter().enumerate() {
             match found.last_mut().filter(|m| self.blocks[m.blocks.start].chain == block.chain) {
                 Some(march) => march.blocks.end = k + 1,
-                None => found.push(March {
-                    blocks: k..k + 1,
-                    window: k..k,
-                    follows: true,
-                    ..March::default()
-                }),
+                None => {
+                    found.push(March { blocks: k..k + 1, window: k..k, follows: true, ..March::default() })
+                }
             }
         }
         found

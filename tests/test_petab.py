@@ -205,6 +205,25 @@ def test_a_steady_state_comes_before(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(("given", "first"), [("5", 5.0), ("scale", 2.0), ("", 0.2 / 0.9)])
+def test_a_condition_sets_a_state_anew_after_the_steady_state(tmp_path: Path, given: str, first: float) -> None:
+    rows = "a\tlow\thigh\t2.1\t0\tscale\t\nb\tlow\thigh\t0.9\t2\t\t0.1\n"
+    conditions = f"conditionId\tdose\tb0\tA\nlow\t0.2\t0.5\t3\nhigh\t1.5\tscale\t{given}\n"
+    p = ph.read_petab(problem(tmp_path, measurements=HEAD + rows, conditions=conditions))
+    # B stays at rest, inflow = k2 B; A begins anew unless the entry is empty.
+    B = concentrations(2, 0.9, 0.4, 1.5, 0.0, (first, 0.2 / 0.4))[1]
+    expected = norm.logpdf(2.1, 2 * first, 0.05 + 0.1 * first)
+    expected += norm.logpdf(math.log10(0.9), math.log10(B + 0.1), 0.1) - math.log(0.9 * math.log(10))
+    assert p.log_likelihood() == pytest.approx(float(expected), abs=1e-5)
+
+
+def test_a_state_set_anew_in_some_conditions_only_is_named(tmp_path: Path) -> None:
+    rows = "a\tlow\thigh\t2.1\t0\tscale\t\na\tlow\tlow\t2.1\t1\tscale\t\n"
+    conditions = "conditionId\tdose\tb0\tA\nlow\t0.2\t0.5\t\nhigh\t1.5\tscale\t5\n"
+    with pytest.raises(ph.ModelError, match=r"the state A is set after the steady state in some conditions.*\(low\)"):
+        ph.read_petab(problem(tmp_path, measurements=HEAD + rows, conditions=conditions))
+
+
 def test_an_event_at_a_given_time_is_a_step(tmp_path: Path) -> None:
     def with_event(model: Any) -> None:
         model.getParameter("dose").setConstant(False)

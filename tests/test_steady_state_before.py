@@ -1,4 +1,4 @@
-"""Records that begin at the steady state before a change, as in experiments on cells: long rests, few samples, fast motions."""
+"""Records that begin at the steady state before a change: long rests, few samples, fast motions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _measured(
 
 
 def labelled() -> tuple[ph.Model, dict[str, float], list[ph.Experiment]]:
-    """Six forms of a protein that turn into each other, all measured at four times after the supply has been stopped."""
+    """Six forms of a protein that turn into each other, all measured four times after the supply has stopped."""
     m = ph.Model("labelled")
     names = [f"x{i}{j}" for i in range(3) for j in range(2)]
     states = dict(zip(names, m.states(*names), strict=True))

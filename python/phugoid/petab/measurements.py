@@ -16,7 +16,7 @@ from ..functions import log
 from ..modelling.densities import Laplace
 from .sbml import Formulas, substituted
 
-__all__ = ["Conditions", "Measurements", "Output", "Phase"]
+__all__ = ["Conditions", "Measurements", "Output", "Phase", "set_after_rest"]
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,27 @@ class Conditions:
             self.signals[chosen] = {c: float(c in where) for c in entries}
             total = Expr(total + Expr.symbol(chosen) * value)
         self.values[name] = total
+
+
+def set_after_rest(table: Any, phases: Sequence[Phase], states: Mapping[str, Any]) -> list[str]:
+    """Return the states that a condition sets anew after the steady state before it; an empty entry (NaN) keeps them.
+
+    Raises ModelError where some of the conditions do so, and others keep the state.
+    """
+    after = list(dict.fromkeys(p.during for p in phases if p.before is not None))
+    found = []
+    for name in table.columns if after else ():
+        if name not in states:
+            continue
+        kept = [c for c in after if _entry(table.loc[c, name]) is None]
+        if not kept:
+            found.append(str(name))
+        elif len(kept) < len(after):
+            raise ModelError(
+                f"PEtab: not supported: the state {name} is set after the steady state in some conditions, and kept in "
+                f"others ({', '.join(kept)})"
+            )
+    return found
 
 
 def _entry(value: Any) -> float | str | None:

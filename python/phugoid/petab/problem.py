@@ -21,7 +21,7 @@ from ..modelling.model import Model
 from ..simulation import simulate
 from ..writing import write
 from .assembly import NamedValues, Records, declared_parameters, model_of, prior_outputs
-from .measurements import Conditions, Measurements, Phase
+from .measurements import Conditions, Measurements, Phase, set_after_rest
 from .sbml import Formulas, SbmlModel, petab_library
 
 __all__ = ["PetabProblem", "read_petab"]
@@ -179,6 +179,8 @@ def read_petab(path: str | os.PathLike[str]) -> PetabProblem:
         conditions = Conditions()
     else:
         conditions = Conditions.read(problem.condition_df, used, {**sbml.initial, **table})
+        for state in set_after_rest(problem.condition_df, phases, sbml.slopes):
+            sbml.set_after_rest(state, conditions.values[state], formulas)
     values = NamedValues(sbml, conditions, table)
     measured = Measurements.read(problem.measurement_df, problem.observable_df, formulas, table)
     for label, (output, mean, beside) in prior_outputs(problem.parameter_df).items():

@@ -281,6 +281,13 @@ class SbmlModel:
         for name, own in jumps.items():
             self._jump(name, _in_order(name, own))
 
+    def set_after_rest(self, name: str, value: Expr, formulas: Formulas) -> None:
+        """Let a state begin anew at a value at time 0, after a steady state; raises ModelError where events set it, too."""
+        if name in self.jumping:
+            raise ModelError(f"PEtab: not supported: both events and conditions after a steady state set {name}")
+        switch = formulas.event(Switch("the_beginning", Expr.symbol(TIME)))
+        self._jump(name, [_Jump(switch, Expr(0.0), value)])
+
     def _jump(self, name: str, jumps: list[_Jump]) -> None:
         """Write a state that jumps as a sum c1 x1 + c2 x2 + ... + b of states that do not, x1' = w1 x' and so on.
 

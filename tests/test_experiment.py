@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from phugoid.data.experiment import Experiment
+from phugoid.data.multirate import multirate
 from phugoid.errors import DataError, PhugoidError, did_you_mean
 
 T = np.linspace(0.0, 1.0, 11)
@@ -43,6 +44,18 @@ def test_holds_what_was_given() -> None:
     np.testing.assert_array_equal(e.input("de"), np.sin(T))
     np.testing.assert_array_equal(e.outputs["q"], T**2)
     assert dict(e.units) == {"q": "rad/s"}
+
+
+def test_units_are_of_channels_that_the_record_has() -> None:
+    for refused in (
+        lambda: run(units={"q": "rad/s", "dE": "rad"}),
+        lambda: run().with_channels({"V": T}, units={"dE": "rad"}),
+        lambda: multirate({"de": (T, T)}, {"q": (T, T)}, "run1", units={"dE": "rad"}),
+    ):
+        with pytest.raises(DataError, match=r"experiment 'run1': units: there is no channel 'dE'.*Did you mean 'de'"):
+            refused()
+    replaced = run(units={"de": "rad", "q": "rad/s"}).with_outputs({"az": T})
+    assert dict(replaced.units) == {"de": "rad"}
 
 
 def test_repr_counts_missing_samples() -> None:

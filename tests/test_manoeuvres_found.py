@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import attas
 import numpy as np
 import pytest
 from matplotlib import pyplot as plt
@@ -107,6 +108,48 @@ def test_manoeuvres_that_stand_out_of_turbulence_are_found(seed: int) -> None:
 def test_a_pulse_ends_where_the_input_is_back(width: float) -> None:
     (m,) = ph.manoeuvres(ph.Experiment(T, {"de": design.pulse(T, 0.05, width=width, start=100)}))
     assert m.kind == "pulse" and m.span == (pytest.approx(100.0, abs=0.1), pytest.approx(100.0 + width, abs=0.1))
+
+
+def steps(rate: float, lengths: Sequence[float], heights: Sequence[float], rise: float = 0.0) -> str:
+    """Return the kind that is found for steps up and down, sampled at ``rate`` (Hz), of lengths in s, in some noise."""
+    t = np.arange(0.0, 40.0, 1.0 / rate)
+    edges = 20.0 + np.concatenate([[0.0], np.cumsum(lengths)])
+    times = np.concatenate([[0.0], *([e, e + rise + 1e-6] for e in edges), [40.0]])
+    u = np.interp(t, times, np.repeat([0.0, *heights, 0.0], 2))
+    u += 0.01 * np.random.default_rng(round(rate)).standard_normal(t.size)
+    (found,) = ph.manoeuvres(ph.Experiment(t, {"de": u}))
+    return found.kind
+
+
+@pytest.mark.parametrize("rate", [8.0, 25.0, 50.0, 200.0])
+@pytest.mark.parametrize("unit", [0.5, 1.0])
+@pytest.mark.parametrize("rise", [0.0, 0.2])
+def test_a_3211_is_recognised_at_any_rate_with_steps_a_bit_off(rate: float, unit: float, rise: float) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        lengths = unit * np.array([3.0, 2.0, 1.0, 1.0]) * rng.uniform(0.85, 1.15, 4)
+        heights = np.array([1.0, -1.0, 1.0, -1.0]) * rng.uniform(0.7, 1.0, 4)
+        assert steps(rate, lengths, heights, rise) == "3-2-1-1"
+
+
+def test_a_3211_flown_by_hand_is_recognised() -> None:
+    # As on the two ATTAS records: the first step too brief, or those to one side half as high.
+    for lengths, heights in (([2.1, 2.1, 1, 1], [-42, 32, -39, 39]), ([2.4, 2, 0.8, 0.8], [38, -58, 35, -62])):
+        for rate in (10.0, 25.0, 100.0):
+            assert steps(rate, lengths, 0.02 * np.array(heights), 0.15) == "3-2-1-1"
+
+
+@pytest.mark.parametrize("lengths", [[1, 1, 1, 1], [4, 3, 2, 1], [1, 1, 2, 3], [1, 2, 1], [3, 1, 1, 1]])
+def test_other_steps_are_no_3211(lengths: list[float]) -> None:
+    for rate in (10.0, 50.0, 200.0):
+        assert steps(rate, lengths, (-1.0) ** np.arange(len(lengths))) == "multistep"
+
+
+def test_the_manoeuvres_of_attas_are_3211s(published: Callable[[str], Path]) -> None:
+    for name in ("fAttasElv1.mat", "fAttasElv2.mat"):
+        published(name)
+    for run in attas.records():
+        assert [m.kind for m in ph.manoeuvres(run)] == ["3-2-1-1"]
 
 
 def test_a_flight_of_an_autopilot_has_hardly_any(published: Callable[[str], Path]) -> None:

@@ -64,6 +64,8 @@ def test_a_file_that_ends_in_something_else_is_refused(fit: ph.Fit, tmp_path: Pa
         fit.save(tmp_path / name)
     with pytest.raises(ph.OptionError, match=r"a report is written to a file that ends in \.html or \.htm"):
         fit.report(tmp_path / name)
+    with pytest.raises(ph.OptionError, match=r"ends in \.html or \.htm, such as fit\.html"):
+        fit.report(tmp_path / "fit")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -120,16 +120,16 @@ def test_missing_cells_become_nan(table: Any, cell: str) -> None:
 def test_units_come_from_the_header(table: Any) -> None:
     e = read(table("t [s],alpha (deg),V[m/s],Mach [-]\n0,1,2,0.3\n1,3,4,0.3\n"), units={"V": "kt"})
     assert list(e.channels) == ["alpha", "V", "Mach"]
-    assert dict(e.units) == {"t": "s", "alpha": "deg", "V": "kt"}
+    assert dict(e.units) == {"alpha": "deg", "V": "kt"}  # time is in s, and no channel
 
 
 def test_units_come_from_a_row_of_their_own(table: Any) -> None:
     e = read(table("t,alpha\n[s],deg\n0,1\n1,3\n"))
-    assert (dict(e.units), e.n) == ({"t": "s", "alpha": "deg"}, 2)
+    assert (dict(e.units), e.n) == ({"alpha": "deg"}, 2)
 
 
 def test_units_hold_where_blanks_delimit(table: Any) -> None:
-    assert dict(read(table("t [s]  q [rad/s]\n0 1\n1 2\n", "a.dat")).units) == {"t": "s", "q": "rad/s"}
+    assert dict(read(table("t [s]  q [rad/s]\n0 1\n1 2\n", "a.dat")).units) == {"q": "rad/s"}
 
 
 def test_an_index_in_brackets_is_no_unit(table: Any) -> None:

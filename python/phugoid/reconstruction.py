@@ -388,7 +388,7 @@ def _with_channels(run: Experiment, channels: Mapping[str, Any], step: str) -> E
         run.name,
         run.interpolation,
         channels={**run.channels, **channels},
-        units=run.units,
+        units=run._units_of(run.inputs, outputs, run.channels, channels),
     )
     return other._sampled(run._signals, run.mesh_times)._after(run, step)
 

@@ -70,10 +70,14 @@ def check_folder(path: str | PathLike[str]) -> None:
 
 
 def check_suffix(path: str | PathLike[str], known: Sequence[str], what: str) -> None:
-    """Raise OptionError where a file has a suffix that is not one of those known; it may have none."""
-    suffix = Path(path).suffix.lower()
-    if suffix and suffix not in known:
-        raise OptionError(f"{path}: {what} is written to a file that ends in {' or '.join(known)}")
+    """Raise OptionError where a file has none of the suffixes known.
+
+    Folders and devices pass: writing to them says what is wrong, if anything is.
+    """
+    target = Path(path)
+    if target.suffix.lower() not in known and (target.is_file() or not target.exists()):
+        such = "" if target.suffix else f", such as {target.name}{known[0]}"
+        raise OptionError(f"{path}: {what} is written to a file that ends in {' or '.join(known)}{such}")
 
 
 def drawn(figure: Any, path: str | PathLike[str], **options: Any) -> bytes:

@@ -3,7 +3,7 @@ their place."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import phugoid._core as _core
 
-from ..errors import DataError, OptionError
+from ..errors import DataError, OptionError, listing
 
 __all__ = [
     "FloatArray",
@@ -110,10 +110,15 @@ def _sample(i: int | np.intp, t: FloatArray | None) -> str:
     return f"sample {i}" if t is None or i >= t.size else f"sample {i} (t = {t[i]:.6g} s)"
 
 
-def units(name: str, given: Mapping[str, str] | None) -> dict[str, str]:
-    """Return the units of the channels of the experiment ``name``; raise DataError unless they are texts by name."""
+def units(name: str, given: Mapping[str, str] | None, channels: Iterable[str]) -> dict[str, str]:
+    """Return the units of the channels of the experiment ``name``; raise DataError unless they are texts by name, each
+    of one of the ``channels``."""
     if not isinstance(given, (Mapping, type(None))) or not all(isinstance(u, str) for u in (given or {}).values()):
         raise DataError(f"experiment '{name}': units are texts by name, such as {{'q': 'rad/s'}}, not {given!r}")
+    known = dict.fromkeys(channels)
+    for channel in given or {}:
+        if channel not in known:
+            raise DataError(f"experiment '{name}': units: there is no channel '{channel}'.{listing(str(channel), known)}")
     return dict(given or {})
 
 

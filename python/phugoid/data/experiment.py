@@ -45,7 +45,7 @@ class Experiment(Preprocessing):
                    that is held from that sample on.
     channels       name -> (N,): columns not yet assigned. A model takes inputs and outputs from here that are not in
                    ``inputs`` and ``outputs``; extra channels do no harm.
-    units          name -> unit, for labels; nothing is converted.
+    units          name -> unit of the channels given here, for labels; nothing is converted.
 
     Filters, detrending and changes of the sampling rate are methods, each of which gives a new record whose ``history``
     says what was done.
@@ -76,7 +76,7 @@ class Experiment(Preprocessing):
         self._inputs = checked.columns(self._name, "input", inputs, self._t)
         self._outputs = checked.columns(self._name, "output", outputs, self._t)
         self._channels = checked.columns(self._name, "channel", channels, self._t)
-        self._units = checked.units(self._name, units)
+        self._units = checked.units(self._name, units, [*self._inputs, *self._outputs, *self._channels])
         self._interpolation = checked_kinds(self._name, interpolation, [*self._inputs, *self._channels])
         self._signals: dict[str, Signal] = {}
         self._mesh_times: FloatArray | None = None
@@ -380,7 +380,7 @@ class Experiment(Preprocessing):
             self._name if name is None else name,
             self._interpolation,
             channels=self._channels,
-            units=self._units,
+            units=self._units_of(self._inputs, outputs, self._channels),
         )
         return other._sampled(self._signals, self._mesh_times)._after(self, f"outputs replaced: {', '.join(outputs)}")
 
@@ -435,6 +435,10 @@ class Experiment(Preprocessing):
         self._history = (*before._history, *steps)
         self._left_out = before._left_out
         return self
+
+    def _units_of(self, *groups: Collection[str]) -> dict[str, str]:
+        """Return the units of the channels that a record made of this one has."""
+        return {name: unit for name, unit in self._units.items() if any(name in group for group in groups)}
 
     def _times(self) -> tuple[str, FloatArray]:
         return self._name, self._t

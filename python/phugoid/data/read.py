@@ -120,7 +120,8 @@ class _Columns:
         return values
 
     def units(self) -> dict[str, str]:
-        return {n: unit for n, unit in self._labels.items() if unit}
+        """Return the units of the columns read, without those of times."""
+        return {n: unit for n, unit in self._labels.items() if unit and n not in self.clocks}
 
     def history(self) -> list[str]:
         return [f"converted {', '.join(self._steps.values())}"] if self._steps else []

@@ -41,6 +41,9 @@ _RESTING, _RESTLESS = 20.0, 0.2
 _LARGER, _AROUND, _WINDOW = 20.0, 30.0, 4.0
 # Spans that are no manoeuvres, and no further apart than so many s, are one span of the kind "continuous".
 _APART = 30.0
+# Lengths of the steps of a 3-2-1-1 in sevenths of their sum, and by how much they may be off; the last two, which are
+# as long as each other, differ by no more than this factor (those of a 4-3-2-1 by two).
+_STEPS, _STEPS_OFF, _LAST_STEPS = np.array([3.0, 2.0, 1.0, 1.0]), np.array([0.75, 0.5, 0.5, 0.5]), 1.7
 # Standard deviation of a normal variable over its median absolute value.
 _MAD = 1.4826
 
@@ -61,7 +64,7 @@ def manoeuvres(
     An input is excited where it departs from its trim, the median of the last ``trim`` s. A manoeuvre starts from an
     input at rest for 2 s and ends in one, and is large beside what the input does around it, outside of manoeuvres
     (20 times the standard deviation over 4 s, less noise). Controls that a pilot or an autopilot moves all the time are
-    spans of the kind "continuous".
+    spans of the kind "continuous". A 3-2-1-1 is recognised where its steps are a bit off, as those flown by hand are.
 
     run        the record, such as `read` gives it of a log.
     inputs     names of the inputs to look at; None: all of the record.
@@ -294,10 +297,8 @@ def _kind(v: _Array, peak: float, moved: float, step: float) -> Kind:
         return "step" if moved > 0.5 * peak else "pulse"
     if n == 2 and 0.5 < lengths[0] / lengths[1] < 2.0:
         return "doublet"
-    if n == 4 and flat > 0.5:
-        unit = lengths.sum() / 7.0
-        if np.all(np.abs(lengths / unit - (3.0, 2.0, 1.0, 1.0)) < 0.5):
-            return "3-2-1-1"
+    if n == 4 and _is_3211([at[a:b] for a, b in pairwise(edges)], np.abs(v)):
+        return "3-2-1-1"
     if n <= 4:
         return "multistep" if flat > 0.5 else "other"
     half = np.log(lengths)
@@ -307,6 +308,24 @@ def _kind(v: _Array, peak: float, moved: float, step: float) -> Kind:
     if abs(order) > 0.8 and change > math.log(1.8) and flat < 0.9:
         return "sweep"
     return _oscillation(v - v.mean(), n, flat)
+
+
+def _is_3211(excursions: Sequence[NDArray[np.intp]], size: _Array) -> bool:
+    """Return whether four excursions, each the numbers of its samples, are the steps of a 3-2-1-1.
+
+    size  (n,) absolute departures.
+
+    A pilot who flies one by hand holds the first step too briefly, and not all steps at one height.
+    """
+    # A step ends halfway between its last sample and the first one of the next, so that lengths are known to a sample.
+    inner = [0.5 * (a[-1] + b[0]) for a, b in pairwise(excursions)]
+    lengths = np.diff([excursions[0][0] - 0.5, *inner, excursions[-1][-1] + 0.5])
+    unit = lengths.sum() / 7.0
+    off = np.maximum(np.abs(lengths / unit - _STEPS) - 1.0 / unit, 0.0)
+    last = (lengths[2:].max() - 1.0) / (lengths[2:].min() + 1.0)
+    # The share of each step that is near its own height, so that a low step is not taken for a slope.
+    flat = np.mean([np.mean(size[at] > 0.6 * np.quantile(size[at], 0.9)) for at in excursions])
+    return bool(flat > 0.5 and np.all(off < _STEPS_OFF) and last < _LAST_STEPS)
 
 
 def _oscillation(v: _Array, excursions: int, flat: float) -> Kind:

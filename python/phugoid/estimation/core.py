@@ -232,7 +232,7 @@ def _within(
     for e, (t, inputs, outputs, kinds, signals) in zip(experiments, records, strict=True):
         alike = kinds_for(dict(zip(slim.input_names, kinds, strict=True)), slim.input_names)
         u, z = (dict(zip(n, x, strict=True)) for n, x in ((slim.input_names, inputs), (slim.output_names, outputs)))
-        record = Experiment(t, u, z, e.name, alike, units=e.units)
+        record = Experiment(t, u, z, e.name, alike, units=e._units_of(u, z))
         of_input = dict(zip(slim.input_names, signals, strict=True))
         moved.append(record._sampled(of_input, e.t if e.mesh_times is None else e.mesh_times))
     return make_fit(slim, moved, noise, transcription, inner)

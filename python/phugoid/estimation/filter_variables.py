@@ -45,7 +45,7 @@ class Separated:
         inputs = {name: e.input(name) for name in self.original.input_names}
         outputs = {name: e.output(name) for name in self.original.output_names}
         kinds = kinds_for(e.interpolation, inputs)
-        other = Experiment(e.t, {**inputs, **switches}, outputs, e.name, kinds, units=e.units)
+        other = Experiment(e.t, {**inputs, **switches}, outputs, e.name, kinds, units=e._units_of(inputs, outputs))
         signals = {name: s for name in inputs if (s := e.signal(name)) is not None}
         return other._sampled(signals, e.mesh_times)
 

@@ -238,7 +238,8 @@ def save_fit_dict(
     else. Raises DataError where the file cannot be written, MissingDependency for HDF5 without h5py.
     """
     check_folder(path)
-    check_suffix(path, (".json", *SUFFIXES), f"a {_WHAT[name]}")
+    if Path(path).suffix:
+        check_suffix(path, (".json", *SUFFIXES), f"a {_WHAT[name]}")
     what = f"the {_WHAT[name]}"
     if Path(path).suffix.lower() not in SUFFIXES:
         write(path, to_json(payload, name=name), what)

@@ -219,7 +219,9 @@ def _transcription(saved: Mapping[str, Any]) -> Transcription | FilterError:
 
 def _experiment(saved: Mapping[str, Any]) -> Experiment:
     groups = (_arrays(saved["inputs"]), _arrays(saved["outputs"]))
-    channels, units = _arrays(saved["channels"]), saved["units"]
+    channels = _arrays(saved["channels"])
+    # Earlier releases accepted units of channels that the record has not.
+    units = {n: unit for n, unit in saved["units"].items() if any(n in group for group in (*groups, channels))}
     e = Experiment(
         io.to_array(saved["t"]), *groups, saved["name"], saved["interpolation"], channels=channels, units=units
     )

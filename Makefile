@@ -5,6 +5,8 @@
 PYTHON ?= python3
 VENV   ?= .venv
 CARGO  ?= cargo
+# A Python that the lowest supported numpy has wheels for.
+OLD_PYTHON ?= $(shell command -v python3.10 || command -v python3.11)
 # Options for pytest, such as PYTEST="-k collocation -x".
 PYTEST ?=
 
@@ -19,14 +21,15 @@ export MPLBACKEND := Agg
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: help test test-all test-rust test-python demo bench docs lint format develop clean
+.PHONY: help test test-all test-rust test-python demo bench docs wheels lint format develop clean
 
 help:
 	@echo "make test     all tests, Rust and Python       make demo     examples/demo.py, results in out/"
 	@echo "make test-all the same, campaigns in full size"
 	@echo "make lint     what CI checks besides tests     make bench    benchmarks against other packages"
 	@echo "make format   formats Rust and Python          make develop  installs the package for editing"
-	@echo "make docs     the documentation, in out/docs   make clean    removes .venv, target and out"
+	@echo "make docs     the documentation, in out/docs   make wheels   wheel and sdist, in out/wheels, tried"
+	@echo "make clean    removes .venv, target and out"
 
 test: test-rust test-python
 
@@ -53,6 +56,16 @@ bench: $(VENV)/.package $(VENV)/.ipopt
 docs: $(VENV)/.package
 	$(py) -m sphinx -q -W --keep-going -d out/doctrees docs out/docs
 	@echo "out/docs/index.html"
+
+# A wheel for Linux with the glibc of 2014 or a later one (linked by zig), and the source distribution. The wheel is tried without
+# Rust: at the lowest versions of what it needs, where there is a Python that they know, and at the newest.
+wheels: $(VENV)/.created
+	$(py) -m pip install --quiet "maturin>=1.7,<2" ziglang
+	rm -rf out/wheels
+	$(activate) maturin build --release --locked --zig --compatibility manylinux2014 --out out/wheels
+	$(activate) maturin sdist --out out/wheels
+	$(if $(OLD_PYTHON),$(py) tools/try_wheel.py out/wheels/*.whl --titles --versions lowest --python $(OLD_PYTHON))
+	$(py) tools/try_wheel.py out/wheels/*.whl --titles --versions newest --python $(PYTHON)
 
 lint: $(VENV)/.package $(VENV)/.lint
 	$(py) tools/check_layers.py

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from phugoid.goodness_of_fit import match
+from phugoid.goodness_of_fit import chi_square_tail, match
 from phugoid.records import Record
 
 
@@ -75,6 +75,12 @@ def test_ljung_box_is_as_by_hand() -> None:
     q = 200 * 202 * sum(p**2 / (200 - k) for k, p in enumerate(rho, 1))
     assert (m.lags, m.lag_one) == (20, pytest.approx(rho[0]))
     assert m.whiteness == pytest.approx(chi2.sf(q, 20), rel=1e-9)
+
+
+def test_the_tail_of_chi_square_is_that_of_scipy() -> None:
+    for freedom in range(1, 40):
+        for x in (0.0, 1e-3, 0.3, 1.0, 4.0, 10.0, 30.0, 100.0, 1000.0, 2000.0):
+            assert chi_square_tail(x, freedom) == pytest.approx(float(chi2.sf(x, freedom)), rel=1e-12, abs=1e-300)
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.4])

@@ -130,3 +130,6 @@ def test_the_iterations_need_numpy_and_ipopt_only() -> None:
 def test_a_fit_stays_light() -> None:
     # scipy.special alone takes longer to import than this fit, and a time limit counts it.
     assert loaded_after(SETUP + "ph.estimate(m, e)") == []
+    # Nor does it need what can be asked of it: a diagnosis takes several times as long to import.
+    asked = {"discrepancy", "diagnosis", "uncertainty", "sensitivities", "validation", "linear", "export", "report"}
+    assert not {f"phugoid.{name}" for name in asked} & {*own_modules_after(SETUP + "ph.estimate(m, e)")}

@@ -20,11 +20,12 @@ from ._core import Expr, __version__
 
 if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES
     from . import design, functions, linear, models, results
-    from .api import diagnose, estimate, improve, load
+    from .api import estimate, load
     from .data.experiment import Experiment
     from .data.multirate import multirate
     from .data.read import read
     from .design.detection import manoeuvres
+    from .diagnosing import diagnose, improve
     from .discrepancy.candidates.library import candidates
     from .discrepancy.misfit.misfit import misfit
     from .errors import DataError, EvaluationError, MissingDependency, ModelError, OptionError, PhugoidError
@@ -81,11 +82,12 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES
 _NAMESPACES = ("design", "functions", "linear", "models", "results")
 # Module -> public names in it. They are imported when they are first asked for: all of the package takes half a second.
 _PLACES = {
-    "api": "diagnose estimate improve load",
+    "api": "estimate load",
     "data.experiment": "Experiment",
     "data.multirate": "multirate",
     "data.read": "read",
     "design.detection": "manoeuvres",
+    "diagnosing": "diagnose improve",
     "discrepancy.candidates.library": "candidates",
     "discrepancy.misfit.misfit": "misfit",
     "errors": "DataError EvaluationError MissingDependency ModelError OptionError PhugoidError",

@@ -1,4 +1,4 @@
-"""Public functions that return a `Fit` or a `Diagnosis`: those of the engine, whose results get their methods here."""
+"""Public functions that return a `Fit`: those of the engine, whose results get their methods here."""
 
 from __future__ import annotations
 
@@ -8,35 +8,32 @@ from functools import wraps
 from inspect import signature
 from typing import Any, ParamSpec, TypeVar
 
-from .discrepancy.diagnose import diagnose as _diagnose
-from .discrepancy.improve import improve as _improve
-from .discrepancy.saved import load_diagnosis
 from .estimation.estimate import estimate as _estimate
-from .result import Diagnosis, Fit, Improvement
+from .result import Fit
 from .saving import files as io
 from .saving import fit_file
 
-__all__ = ["diagnose", "estimate", "improve", "load", "load_fit"]
+__all__ = ["estimate", "load", "load_fit", "with_facade"]
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _F = TypeVar("_F")
 
 
-def _with_facade(facade: Callable[[_R], _F], name: str, function: Callable[_P, _R]) -> Callable[_P, _F]:
-    """Return a function with the signature and the docstring of another, whose results ``facade`` gives methods."""
+def with_facade(facade: Callable[[_R], _F], name: str, function: Callable[_P, _R], module: str) -> Callable[_P, _F]:
+    """Return a function of a module with the signature and the docstring of another, whose results ``facade`` gives
+    methods."""
 
     @wraps(function, assigned=("__name__", "__qualname__", "__doc__"))
     def public(*args: _P.args, **options: _P.kwargs) -> _F:
         return facade(function(*args, **options))
 
+    public.__module__ = module
     public.__signature__ = signature(function).replace(return_annotation=name)  # type: ignore[attr-defined]
     return public
 
 
-estimate = _with_facade(Fit._of, "Fit", _estimate)
-diagnose = _with_facade(Diagnosis._of, "Diagnosis", _diagnose)
-improve = _with_facade(Improvement._of, "Improvement", _improve)
+estimate = with_facade(Fit._of, "Fit", _estimate, __name__)
 
 
 def load(path: str | os.PathLike[str]) -> Any:
@@ -48,7 +45,10 @@ def load(path: str | os.PathLike[str]) -> Any:
     Raises DataError for a missing, damaged or newer file, MissingDependency for HDF5 without h5py.
     """
     if io.format_of(path) == io.DIAGNOSIS:
-        return Diagnosis._of(load_diagnosis(path))
+        from .diagnosis import Diagnosis
+        from .discrepancy.saved import load_diagnosis
+
+        return Diagnosis._of(load_diagnosis(path), Fit)
     return load_fit(path)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -32,6 +32,7 @@ ENDED_WELL = ("converged", "acceptable")
 
 _Array = NDArray[np.float64]
 _T = TypeVar("_T")
+_F = TypeVar("_F", bound="FitResult")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,6 +72,13 @@ class FitResult:
     # With delays: the fit of the model without delays to data shifted by them. Where kinks were smoothed:
     # that of the smooth model.
     _moved: FitResult | None = field(default=None, repr=False)
+
+    @classmethod
+    def _of(cls: type[_F], result: FitResult) -> _F:
+        """Return a fit of this class with the data of a result; one that is of it as it is."""
+        if isinstance(result, cls):
+            return result
+        return cls(**{f.name: getattr(result, f.name) for f in fields(result)})
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "initial_states", ByName("experiment", self.initial_states))

@@ -1,49 +1,18 @@
-"""Results with the functions on them as methods: what `estimate`, `diagnose` and `improve` return."""
+"""A fit with the functions on it as methods: what `estimate` returns.
+
+A method imports its function when it is called: all of them take several times as long to import as an estimation
+takes.
+"""
 
 from __future__ import annotations
 
 import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from ._core import Expr
-from .data.experiment import Experiment
-from .discrepancy.diagnose import diagnose
-from .discrepancy.improve import ImprovementResult, improve
-from .discrepancy.misfit.misfit import Misfit, misfit
-from .discrepancy.misfit.residuals_figure import plot_residuals
-from .discrepancy.page.figures import diagnosis_figures
-from .discrepancy.page.page import report as diagnosis_report
-from .discrepancy.page.words import diagnosis_summary, headline
-from .discrepancy.saved import save_diagnosis
-from .discrepancy.search.finding import DiagnosisResult, ExtensionResult
-from .estimation.starts import Outcome
-from .export import export_c, export_fmu
-from .figures.estimates import plot_convergence, plot_parameters
-from .figures.fit import plot_fit
 from .fit_result import FitResult
-from .goodness_of_fit import Tolerance
-from .integration import IntegrationError, integration_error
-from .notebook import Html, bullets, notebook_page, paragraph, table
-from .parameters import Estimates, derived
-from .records import Record
-from .report import report
-from .saving.fit_file import save
-from .simulation import simulate
-from .solvers import Iteration
-from .summary import fit_html, fit_summary
-from .tabular import fit_dataset
-from .uncertainty.bands import Bands, prediction_bands
-from .uncertainty.bootstrap import Bootstrap, bootstrap
-from .uncertainty.coloured import Coloured, coloured
-from .uncertainty.correlation import Correlation, correlation, plot_correlation
-from .uncertainty.profile import Profiles, profile
-from .validation.result import Validation
-from .validation.validate import validate
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -53,18 +22,28 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Diagnosis", "Extension", "Fit", "Improvement"]
+    from ._core import Expr
+    from .data.experiment import Experiment
+    from .diagnosis import Diagnosis, Improvement
+    from .discrepancy.misfit.misfit import Misfit
+    from .estimation.starts import Outcome
+    from .goodness_of_fit import Tolerance
+    from .integration import IntegrationError
+    from .parameters import Estimates
+    from .records import Record
+    from .solvers import Iteration
+    from .uncertainty.bands import Bands
+    from .uncertainty.bootstrap import Bootstrap
+    from .uncertainty.coloured import Coloured
+    from .uncertainty.correlation import Correlation
+    from .uncertainty.profile import Profiles
+    from .validation.result import Validation
+
+__all__ = ["Fit"]
 
 
 class Fit(FitResult):
     """The result of `estimate`: the data, which `FitResult` explains, and the functions on a fit as methods."""
-
-    @classmethod
-    def _of(cls, result: FitResult) -> Fit:
-        """Return a fit with the data of a result; a fit as it is."""
-        if isinstance(result, Fit):
-            return result
-        return cls(**{f.name: getattr(result, f.name) for f in fields(result)})
 
     def derived(self, **expressions: Expr) -> Estimates:
         """Return estimates of expressions in the parameters, with standard errors to first order (the delta method).
@@ -72,6 +51,8 @@ class Fit(FitResult):
         ``fit.derived(natural_frequency=sqrt(k / mass))``; a quantity of the model is given by its expression,
         ``fit.derived(static_margin=fit.model.equations["static_margin"])``. Raises ModelError for other symbols.
         """
+        from .parameters import derived
+
         return derived(self.parameters, self.covariance, expressions)
 
     def conf_int(self, level: float = 0.95, *, robust: bool = False) -> dict[str, tuple[float, float]]:
@@ -93,27 +74,39 @@ class Fit(FitResult):
 
         Raises OptionError for a fit by the filter-error method.
         """
+        from .uncertainty.coloured import coloured
+
         return coloured(self)
 
     @property
     def coloured(self) -> Coloured:
         """The result of `robust`. This property is removed in the next release."""
+        from .uncertainty.coloured import coloured
+
         warnings.warn("Fit.coloured is now the method Fit.robust()", DeprecationWarning, stacklevel=2)
         return coloured(self)
 
     def misfit(self) -> Misfit:
         """Return what the model gets wrong, by output: when, in which regime, at which frequencies; see
         `phugoid.misfit`."""
+        from .discrepancy.misfit.misfit import misfit
+
         return misfit(self)
 
-    def diagnose(self, candidates: Any = None, validation: Any = None, **options: Any) -> Diagnosis:
+    def diagnose(self, candidates: Any = None, validation: Any = None, **options: Any) -> Diagnosis[Fit]:
         """Find what the model is missing; see `phugoid.diagnose`, which has the same arguments."""
-        return Diagnosis._of(diagnose(self, candidates, validation, **options))
+        from .diagnosis import Diagnosis
+        from .discrepancy.diagnose import diagnose
 
-    def improve(self, validation: Any = None, **options: Any) -> Improvement:
+        return Diagnosis._of(diagnose(self, candidates, validation, **options), Fit)
+
+    def improve(self, validation: Any = None, **options: Any) -> Improvement[Fit]:
         """Diagnose and extend the model until nothing more is named; see `phugoid.improve`, which has the same
         arguments."""
-        return Improvement._of(improve(self, validation, **options))
+        from .diagnosis import Improvement
+        from .discrepancy.improve import improve
+
+        return Improvement._of(improve(self, validation, **options), Fit)
 
     def predict(self, data: Experiment, values: Mapping[str, float] | None = None, **options: Any) -> Record:
         """Return the outputs and states of the fitted model over the inputs of an experiment, simulated from its first
@@ -122,6 +115,8 @@ class Fit(FitResult):
         ``values``: name -> value of parameters that are not those of the fit, such as a trim that each experiment has
         its own of. `validate` estimates initial states and biases first.
         """
+        from .simulation import simulate
+
         if not values:
             return simulate(self.model, self, data, **options)
         own = {n: e.value for n, e in self.parameters.items() if n not in self.noise_parameters}
@@ -131,6 +126,8 @@ class Fit(FitResult):
     def correlation(self) -> Correlation:
         """Correlations of the estimates: ``fit.correlation["Cm0", "Cma"]``, ``.matrix`` (n, n), ``.pairs(0.9)``, and
         ``.weak``: combinations that the data hardly determine."""
+        from .uncertainty.correlation import correlation
+
         return correlation(self)
 
     def profile(
@@ -160,6 +157,8 @@ class Fit(FitResult):
 
         Raises OptionError for names without a profile, and a fit that has not converged.
         """
+        from .uncertainty.profile import profile
+
         return profile(
             self, names, level=level, coloured=coloured, executor=executor, progress=progress, time_limit=time_limit
         )
@@ -191,6 +190,8 @@ class Fit(FitResult):
         Raises OptionError for invalid options, a fit that has not converged, and a vehicle that other process noise
         would carry far away with the recorded inputs, such as an unstable one with its controller.
         """
+        from .uncertainty.bootstrap import bootstrap
+
         return bootstrap(
             self, n, kind, block=block, seed=seed, executor=executor, progress=progress, time_limit=time_limit
         )
@@ -221,6 +222,8 @@ class Fit(FitResult):
 
         Raises OptionError, DataError or UnknownName for invalid arguments.
         """
+        from .uncertainty.bands import prediction_bands
+
         return prediction_bands(
             self, experiment, level=level, coloured=coloured, biases=biases, values=values, progress=progress
         )
@@ -228,6 +231,8 @@ class Fit(FitResult):
     def summary(self) -> str:
         """Return the fit as a plain-text table: for each parameter the Cramér-Rao standard error and, where the fit has
         its data, the one corrected for coloured residuals."""
+        from .summary import fit_summary
+
         return fit_summary(self)
 
     def integration_error(self) -> tuple[IntegrationError, ...]:
@@ -235,6 +240,8 @@ class Fit(FitResult):
 
         Raises OptionError for a fit that was not transcribed by collocation.
         """
+        from .integration import integration_error
+
         return integration_error(self)
 
     def plot(
@@ -247,6 +254,8 @@ class Fit(FitResult):
 
         ``tolerances``: output -> greatest deviation in its unit, or a `Tolerance`, drawn as bands (14 CFR Part 60).
         """
+        from .figures.fit import plot_fit
+
         return plot_fit(self, record, channels, tolerances=tolerances)
 
     def plot_residuals(
@@ -254,21 +263,29 @@ class Fit(FitResult):
     ) -> tuple[Figure, dict[str, Axes]]:
         """Plot the residuals of an experiment over time, their autocorrelation and their spectrum; see
         `plot_residuals`."""
+        from .discrepancy.misfit.residuals_figure import plot_residuals
+
         return plot_residuals(self, record, channels)
 
     def plot_parameters(
         self, *others: Any, names: Sequence[str] | None = None, labels: Sequence[str] | None = None
     ) -> tuple[Figure, dict[str, Axes]]:
         """Plot the estimates with 95 % intervals, of this fit or side by side with others; see `plot_parameters`."""
+        from .figures.estimates import plot_parameters
+
         return plot_parameters([self, *others], names, labels)
 
     def plot_correlation(self, names: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
         """Plot the correlation matrix of the estimates as a heat map; see `plot_correlation`."""
+        from .uncertainty.correlation import plot_correlation
+
         return plot_correlation(self, names)
 
     def plot_convergence(self) -> tuple[Figure, dict[str, Axes]]:
         """Plot log-likelihood, defects, distance from the optimum and step of every iteration; see
         `plot_convergence`."""
+        from .figures.estimates import plot_convergence
+
         return plot_convergence(self)
 
     def validate(
@@ -303,6 +320,8 @@ class Fit(FitResult):
         model's channels or with fewer samples than unknowns. An experiment that the fit was made on, and a fit that has
         not converged, are among the ``warnings`` of the result.
         """
+        from .validation.validate import validate
+
         return validate(
             self,
             other,
@@ -327,16 +346,22 @@ class Fit(FitResult):
         ``validation``: of this fit, as a section. ``files``, such as data and model, are listed with their SHA-256;
         ``command`` is quoted.
         """
+        from .report import report
+
         report(self, path, validation=validation, files=files, command=command)
 
     def export_c(self, folder: str | os.PathLike[str], **options: Any) -> tuple[Path, Path]:
         """Write the model with the estimates as C source, a header and a source file; return their paths. Options and
         content of the files are those of `phugoid.export_c`."""
+        from .export import export_c
+
         return export_c(self, folder, **options)
 
     def export_fmu(self, path: str | os.PathLike[str], **options: Any) -> Path:
         """Write the model with the estimates as a functional mock-up unit (FMI 2.0); return its path. Options are those
         of `phugoid.export_fmu`."""
+        from .export import export_fmu
+
         return export_fmu(self, path, **options)
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -350,126 +375,22 @@ class Fit(FitResult):
         Variables are those of `Record.to_xarray`. Several experiments are along ``experiment``, over the times of all
         of them: NaN where one has no sample. Raises MissingDependency without xarray.
         """
+        from .tabular import fit_dataset
+
         facts = {"log_likelihood": self.log_likelihood, "status": self.status, "model": self.model.name}
         return fit_dataset(self.records, self.parameters, self.covariance, facts)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the fit with its data to a versioned file, which `load` reads: HDF5 for ``.h5`` and ``.hdf5``, where
         arrays are datasets with units (extra ``hdf5``); JSON otherwise. Raises DataError where that is impossible."""
+        from .saving.fit_file import save
+
         save(self, path)
 
     def _repr_html_(self) -> str:
+        from .summary import fit_html
+
         return fit_html(self)
 
     def __str__(self) -> str:
         return self.summary()
-
-
-class Extension(ExtensionResult):
-    """The result of `Diagnosis.extend`: the extended ``model``, its ``fit`` to the same data, the names of the causes
-    ``added`` (canonical, ``where:what``), and the ``gain``."""
-
-    fit: Fit
-
-    def _repr_html_(self) -> str:
-        title = f"{self.model.name}, extended by {', '.join(self.added) or 'nothing'}"
-        return notebook_page(title, Html(self.gain._repr_html_()), Html(self.fit._repr_html_()))
-
-
-class Diagnosis(DiagnosisResult):
-    """The result of `diagnose`.
-
-    fit         that was diagnosed; with inputs between samples as the data indicate where ``notes`` say that straight
-                lines are wrong there.
-    misfit      what it gets wrong: per channel, when, in which regime, at which frequencies.
-    findings    what is missing, in the order in which it was found.
-    verdict     "named", "unexplained", "surrogate", "minor" or "nothing": the conclusion.
-    ranking     all candidates of the first scan with their statistics, in the order of `Scored.ranking`.
-    threshold   that twice the gain in log-likelihood of a candidate with one coefficient has to pass; findings have
-                theirs, in log-likelihood itself.
-    notes       what was done, in words.
-    interrupted whether the search was ended by Ctrl-C or its time limit: what is here was found until then.
-    seconds     that it took.
-    """
-
-    fit: Fit
-
-    @classmethod
-    def _of(cls, result: DiagnosisResult) -> Diagnosis:
-        """Return a diagnosis with the data of a result."""
-        return cls(**{f.name: getattr(result, f.name) for f in fields(result)} | {"fit": Fit._of(result.fit)})
-
-    def extend(self, *, minor: bool = False) -> Extension:
-        """Return the model with all named causes, its fit, and the gain over the base model; with ``minor`` minor
-        findings, surrogates, and unknown functions as tables, too. With nothing to add it is the unchanged model, and
-        ``added`` is empty."""
-        return self._extended_full if minor else self._extended
-
-    @cached_property
-    def _extended(self) -> Extension:
-        found = super().extend()
-        return Extension(found.model, Fit._of(found.fit), found.added, found.gain)
-
-    @cached_property
-    def _extended_full(self) -> Extension:
-        found = super().extend(minor=True)
-        return Extension(found.model, Fit._of(found.fit), found.added, found.gain)
-
-    def summary(self) -> str:
-        """Return the findings in plain words."""
-        return diagnosis_summary(self)
-
-    def plot(self) -> list[Figure]:
-        """Plot the misfit and the ranking of candidates; before them the parts explained by findings, and after them
-        the changes and gains of the extension, where there are any. Return the figures."""
-        return diagnosis_figures(self)
-
-    def report(self, path: str | os.PathLike[str]) -> None:
-        """Write one HTML page that a colleague understands: what was wrong, the evidence, the cause and its rivals, the
-        new equation, the gain."""
-        diagnosis_report(self, path)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the diagnosis, for `load`: fit, findings, ranking, misfit in words, extended model with fit and gain.
-
-        HDF5 where the suffix is ``.h5`` or ``.hdf5``, else JSON; raises as `Fit.save` does.
-        `load` returns all of this, with ``summary``, ``plot`` and ``report``; the misfit is computed again from the
-        fit's residuals.
-        """
-        save_diagnosis(self, path)
-
-    def _repr_html_(self) -> str:
-        rows = [f.cells() for f in self.findings]
-        heads = list(rows[0]) if rows else []
-        found = table(heads, [list(row.values()) for row in rows], "llllrrr")
-        worst = self.misfit.table_html(most=3)
-        return notebook_page(
-            f"{self.fit.model.name}: diagnosis",
-            paragraph(headline(self)),
-            found,
-            worst,
-            bullets(self.notes),
-            note=self.verdict,
-        )
-
-    def __str__(self) -> str:
-        return self.summary()
-
-
-class Improvement(ImprovementResult):
-    """The result of `improve`.
-
-    fit      of the last model.
-    steps    diagnoses, one after the other, each with what was ``added``, ``rejected`` and why,
-             and the ``gain``.
-    added    names of all added causes, in order.
-    verdict  conclusion of the last diagnosis.
-    """
-
-    fit: Fit
-
-    @classmethod
-    def _of(cls, result: ImprovementResult) -> Improvement:
-        """Return an improvement with the data of a result."""
-        steps = tuple(replace(step, diagnosis=Diagnosis._of(step.diagnosis)) for step in result.steps)
-        return cls(Fit._of(result.fit), steps)

@@ -2,6 +2,7 @@
 
 from .design.manoeuvre_list import Manoeuvre, Manoeuvres
 from .design.plan import Excursion, Plan, Plans
+from .diagnosis import Diagnosis, Extension, Improvement
 from .discrepancy.candidates.candidate import Candidate
 from .discrepancy.candidates.collection import Candidates
 from .discrepancy.misfit.misfit import Misfit
@@ -21,7 +22,6 @@ from .reconstruction import Reconstruction, VanePlaces
 from .records import Record
 from .regression.equation_error import EquationError
 from .regression.selected_terms import SelectedTerms, SelectionStep
-from .result import Diagnosis, Extension, Improvement
 from .sensitivities.trajectory import Place, Points
 from .solvers import Iteration
 from .uncertainty.bands import Bands

@@ -9,15 +9,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..api import diagnose as find_missing
 from ..api import load_fit
 from ..errors import OptionError
 from ..fit_result import ENDED_WELL
-from ..result import Diagnosis, Fit
+from ..result import Fit
 from ..solvers import Newton
 from ..validation.result import Validation
 from .model_file import load_source
@@ -44,6 +43,9 @@ from .results import (
     save_figures,
     saved,
 )
+
+if TYPE_CHECKING:
+    from ..diagnosis import Diagnosis
 
 __all__ = ["code_of", "diagnose", "fit", "validate", "write_report"]
 
@@ -206,7 +208,7 @@ def diagnose(
             print(f"{base.summary()}\n\nThere is nothing to diagnose: a diagnosis needs a converged fit.")
         return code_of(base) or NOT_CONVERGED
     with _steps() as watch:
-        found = find_missing(base, validation=others, progress=watch)
+        found = base.diagnose(validation=others, progress=watch)
     writers = [saved(found.save, save), saved(found.report, report)]
     finish("diagnose", found, partial(_diagnosis_facts, found) if json else None, writers)
     return _code(found)
@@ -239,13 +241,13 @@ def _steps() -> Iterator[Callable[[str], None]]:
         yield status.update
 
 
-def _code(found: Diagnosis) -> int:
+def _code(found: Diagnosis[Fit]) -> int:
     if found.interrupted:
         return INTERRUPTED
     return NOT_CONVERGED if found.verdict == "unexplained" else 0
 
 
-def _diagnosis_facts(found: Diagnosis) -> dict[str, Any]:
+def _diagnosis_facts(found: Diagnosis[Fit]) -> dict[str, Any]:
     kept = (
         "cause",
         "aliases",

@@ -118,7 +118,8 @@ def units(name: str, given: Mapping[str, str] | None, channels: Iterable[str]) -
     known = dict.fromkeys(channels)
     for channel in given or {}:
         if channel not in known:
-            raise DataError(f"experiment '{name}': units: there is no channel '{channel}'.{listing(str(channel), known)}")
+            near = listing(str(channel), known)
+            raise DataError(f"experiment '{name}': units: there is no channel '{channel}'.{near}")
     return dict(given or {})
 
 

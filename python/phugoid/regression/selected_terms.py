@@ -81,9 +81,9 @@ class TermSelection:
 
     def thresholds(self, candidates: int) -> tuple[float, float]:
         """Return the F to enter and the F to leave among so many candidates."""
-        from scipy.stats import chi2
+        from scipy.special import chdtri
 
-        f_in = float(chi2.isf(0.05 / max(candidates, 1), 1)) if self.f_in is None else float(self.f_in)
+        f_in = float(chdtri(1, 0.05 / max(candidates, 1))) if self.f_in is None else float(self.f_in)
         return f_in, f_in if self.f_out is None else min(float(self.f_out), f_in)
 
     def criterion_with(self, held_out: bool) -> Criterion:

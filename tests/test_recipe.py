@@ -1,0 +1,36 @@
+"""The recipe for conda-forge and the citation say what the package's own metadata say."""
+
+from __future__ import annotations
+
+import re
+
+import pages
+
+RECIPE, CITATION, CARGO, PYPROJECT = (
+    (pages.ROOT / name).read_text(encoding="utf-8")
+    for name in ("recipe/meta.yaml", "CITATION.cff", "Cargo.toml", "pyproject.toml")
+)
+
+
+def section(name: str) -> list[str]:
+    """The items of a list in the recipe, without comments."""
+    (block,) = re.findall(rf"^  {name}:\n((?:    - .*\n)+)", RECIPE, flags=re.M)
+    return [line.strip("- ").split("#")[0].strip() for line in block.splitlines()]
+
+
+def test_versions_are_one() -> None:
+    (version,) = re.findall(r'^version = "(.*)"', CARGO, flags=re.M)
+    assert re.findall(r'set version = "(.*)"', RECIPE) == [version]
+    assert re.findall(r"^version: (.*)", CITATION, flags=re.M) == [version]
+    assert re.findall(r'^phugoid = .*version = "(.*)"', CARGO, flags=re.M) == [version]
+
+
+def test_what_is_needed_is_the_same() -> None:
+    (listed,) = re.findall(r"^dependencies = \[(.*)\]", PYPROJECT, flags=re.M)
+    needed = {re.sub(r">=", " >=", item) for item in re.findall(r'"([^"]+)"', listed)}
+    assert {item.replace("matplotlib-base", "matplotlib") for item in section("run")} - {"python"} == needed
+    (maturin,) = re.findall(r'^requires = \["(.*)"\]', PYPROJECT, flags=re.M)
+    builder = maturin.replace("maturin", "maturin ")
+    assert builder in section("host") and builder in section("build")
+    (summary,) = re.findall(r'^description = "(.*)"', PYPROJECT, flags=re.M)
+    assert f"summary: {summary}\n" in RECIPE

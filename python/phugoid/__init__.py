@@ -71,7 +71,7 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES
     from .regression.differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
     from .regression.equation_error import equation_error
     from .regression.selected_terms import TermSelection
-    from .regression.terms import monomials
+    from .regression.term_selection import monomials
     from .result import Fit
     from .simulation import simulate
     from .solvers import Ipopt, Newton
@@ -106,7 +106,7 @@ _PLACES = {
     "regression.differentiate": "FourierSmoothing SavitzkyGolay SmoothingSpline",
     "regression.equation_error": "equation_error",
     "regression.selected_terms": "TermSelection",
-    "regression.terms": "monomials",
+    "regression.term_selection": "monomials",
     "result": "Fit",
     "simulation": "simulate",
     "solvers": "Ipopt Newton",

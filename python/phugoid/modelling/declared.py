@@ -21,6 +21,8 @@ import phugoid._core as _core
 
 from .._core import Expr
 from ..errors import ModelError, listing
+from ..mathml import equation
+from ..notebook import overview
 from ..parameters import Parameter
 
 __all__ = [
@@ -35,6 +37,7 @@ __all__ = [
     "declare_parameter",
     "equations_of",
     "kink_advice",
+    "model_html",
     "read_names",
     "rebuilt",
     "separated",
@@ -89,6 +92,7 @@ class Delays:
         return Delays(inputs, dict(saved.get("outputs", {})))
 
 
+_CUT = 300  # characters of an equation
 _PACKAGE = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "")
 
 
@@ -345,3 +349,22 @@ def _listed(texts: list[str]) -> str:
     """Join the first of some texts, and say how many more there are."""
     more = f" and {len(texts) - _NAMED} more" if len(texts) > _NAMED else ""
     return ", ".join(texts[:_NAMED]) + more
+
+
+def model_html(
+    name: str,
+    note: str,
+    equations: Sequence[tuple[str, str, Expr]],
+    symbols: Mapping[str, Sequence[str]],
+    units: Mapping[str, str],
+    parameters: Mapping[str, Parameter],
+) -> str:
+    """Return the HTML of a model from its equations (kind, left side, right side) and its symbols by kind."""
+    lines = [[kind, equation(left, right, rate=kind == "state", cut=_CUT)] for kind, left, right in equations]
+    rows = [[symbol, kind, units.get(symbol, ""), "", ""] for kind, names in symbols.items() for symbol in names]
+    for symbol, p in parameters.items():
+        limited = any(abs(bound) != float("inf") for bound in p.bounds)
+        remark = "fixed" if p.fixed else f"{p.bounds[0]:g} to {p.bounds[1]:g}" if limited else ""
+        rows.append([symbol, "parameter", p.unit, f"{p.start:.6g}", remark])
+    heads = ["symbol", "", "unit", "start", "bounds"]
+    return overview(name, (["", "equation"], lines, "ll"), (heads, rows, "lllrl"), note=note)

@@ -25,12 +25,12 @@ from .declared import (
     check_units,
     declare_parameter,
     equations_of,
+    model_html,
     read_names,
     separated,
     source_line,
 )
 from .densities import noise_from_dict, stated_noise
-from .model_html import model_html
 from .noise import Gaussian, Noise, Sigma
 
 __all__ = ["Model"]

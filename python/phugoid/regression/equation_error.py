@@ -19,12 +19,20 @@ from ..notebook import Html, bullets, notebook_page, table
 from ..parameters import Estimate, Estimates, estimates_html, estimates_table, text_table
 from ..records import Record
 from .differentiate import Differentiator, FourierSmoothing, SavitzkyGolay, SmoothingSpline
-from .equation_sides import EquationSides, Unknown, unknowns_of
-from .equations import Equation, Evaluation, channels, equations, groups, parameters_in
+from .equations import (
+    Equation,
+    EquationSides,
+    Evaluation,
+    Unknown,
+    channels,
+    equations,
+    groups,
+    parameters_in,
+    unknowns_of,
+)
 from .least_squares import Regression, regress
 from .selected_terms import SelectedTerms, TermSelection, check_keep, term_selection
-from .term_selection import select_terms
-from .terms import with_candidates, without
+from .term_selection import select_terms, with_candidates, without
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -100,8 +100,9 @@ $(VENV)/.package: $(sources) | $(VENV)/.created
 	$(py) -m pip install --quiet ".[test]"
 	touch $@
 
+# Python code is compiled where the demo imports it, and that is a part of what is installed.
 $(VENV)/.demo: $(sources) | $(VENV)/.created
-	MATURIN_PEP517_ARGS="--profile demo" $(py) tools/show_progress.py "Building the package" $(py) -m pip install -v .
+	MATURIN_PEP517_ARGS="--profile demo" $(py) tools/show_progress.py "Building the package" $(py) -m pip install --no-compile -v .
 	touch $@
 
 $(VENV)/.lint: pyproject.toml | $(VENV)/.created

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pages
+import try_wheel
 
 RECIPE, CITATION, CARGO, PYPROJECT = (
     (pages.ROOT / name).read_text(encoding="utf-8")
@@ -34,3 +35,9 @@ def test_what_is_needed_is_the_same() -> None:
     assert builder in section("host") and builder in section("build")
     (summary,) = re.findall(r'^description = "(.*)"', PYPROJECT, flags=re.M)
     assert f"summary: {summary}\n" in RECIPE
+
+
+def test_a_wheel_is_tried_at_the_lowest_versions_that_it_accepts() -> None:
+    metadata = "Name: x\nRequires-Dist: numpy>=1.24\nRequires-Dist: h5py>=3.7 ; extra == 'hdf5'\nRequires-Dist: rich>=13\n"
+    assert try_wheel.requirements(metadata, lowest=True) == ["numpy==1.24", "rich==13"]
+    assert try_wheel.requirements(metadata, lowest=False) == ["numpy>=1.24", "rich>=13"]

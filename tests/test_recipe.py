@@ -38,6 +38,7 @@ def test_what_is_needed_is_the_same() -> None:
 
 
 def test_a_wheel_is_tried_at_the_lowest_versions_that_it_accepts() -> None:
-    metadata = "Name: x\nRequires-Dist: numpy>=1.24\nRequires-Dist: h5py>=3.7 ; extra == 'hdf5'\nRequires-Dist: rich>=13\n"
+    metadata = "Name: x\nRequires-Dist: numpy>=1.24\nRequires-Dist: h5py>=3.7 ; extra == 'hdf5'\n"
+    metadata += "Requires-Dist: rich>=13\n"
     assert try_wheel.requirements(metadata, lowest=True) == ["numpy==1.24", "rich==13"]
     assert try_wheel.requirements(metadata, lowest=False) == ["numpy>=1.24", "rich>=13"]

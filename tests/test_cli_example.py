@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
+from typing import Annotated, Optional
 
 import pytest
 from cli_case import run
 
 from phugoid.cli.example import EXAMPLES
+from phugoid.cli.results import annotations_of
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -39,3 +41,14 @@ def test_list_and_files_that_are_there(tmp_path: Path, monkeypatch: pytest.Monke
     wrong = run("example", "hfb")
     assert wrong.exit_code == 2 and "there is no example 'hfb'. Did you mean 'hfb320'?" in wrong.stderr
     assert "which example?" in run("example").stderr
+
+
+def test_an_argument_stays_one_where_python_makes_it_optional() -> None:
+    """As Python 3.10 does with the default None."""
+
+    def example(name: Annotated[str | None, "argument"] = None, other: int = 0) -> None: ...
+
+    plain = annotations_of(example)
+    assert plain == {"name": Annotated[str | None, "argument"], "other": int, "return": type(None)}
+    example.__annotations__["name"] = Optional[Annotated[str | None, "argument"]]  # noqa: UP045
+    assert annotations_of(example) == plain

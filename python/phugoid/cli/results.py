@@ -12,7 +12,7 @@ from dataclasses import fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -30,6 +30,7 @@ from ..writing import PAGES, check_suffix, drawn, write
 __all__ = [
     "INTERRUPTED",
     "NOT_CONVERGED",
+    "annotations_of",
     "check_saved",
     "check_targets",
     "command",
@@ -50,17 +51,26 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 _DEBUG = Annotated[bool, typer.Option("--debug", help="Shows the traceback of an error.")]
 
 
+def annotations_of(declared: Any) -> dict[str, Any]:
+    """Return the annotations of a function or a class by name, with what typer reads of them.
+
+    Python 3.10 makes a type with the default None optional, which would hide that it is an argument or an option.
+    """
+    hints = get_type_hints(declared, include_extras=True)
+    return {n: next((a for a in get_args(kind) if get_origin(a) is Annotated), kind) for n, kind in hints.items()}
+
+
 def command(function: Callable[..., int | None]) -> Callable[..., None]:
     """Return the function that typer runs, made of a function that returns an exit code (None: 0).
 
     A parameter of a dataclass stands for the options that the fields of the class are; ``--debug`` is added.
     """
-    hints = get_type_hints(function, include_extras=True)
+    hints = annotations_of(function)
     groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
     parameters: list[Parameter] = []
     for p in Signature.from_callable(function).parameters.values():
         if p.name in groups:
-            of = get_type_hints(groups[p.name], include_extras=True)
+            of = annotations_of(groups[p.name])
             options = [(field.name, field.default, of[field.name]) for field in fields(groups[p.name])]
         else:
             options = [(p.name, p.default, hints[p.name])]

@@ -47,7 +47,7 @@ a, b = m.parameters("a b")
 m.dynamics(x=a * x + b * v)
 m.outputs(x=x)
 found = ph.diagnose(ph.estimate(m, record("one", 0)), validation=record("two", 1))
-assert [f.name for f in found.findings] == ["x':x^3"], found.summary()
+assert [f.cause for f in found.findings] == ["x':x^3"], found.summary()
 """
 
 IMPORT = "import time; t = time.perf_counter(); import phugoid; print(time.perf_counter() - t)"

@@ -55,6 +55,7 @@ class Case:
     colours       output -> correlation of its noise.
     clean         output -> (N,) of ``data`` without noise.
     baseline      of ``data``: the strength of anything can be computed from it.
+    more          further records of the vehicle, of other manoeuvres.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Case:
     colours: dict[str, Colour]
     clean: dict[str, np.ndarray]
     baseline: Baseline
+    more: tuple[ph.Experiment, ...] = ()
 
     def again(self) -> str:
         """The call that makes this case."""
@@ -119,25 +121,28 @@ class _Setting:
 
 
 def make(
-    system: str,
+    system: str | System,
     effects: str | Collection[str],
     strength: str | float,
     noise: str,
     seed: int,
     validation: bool = True,
+    more: int = 0,
 ) -> Case:
     """A case that hides these effects of a system, each of that strength if it were alone; all else from the seed.
+
+    ``system`` is the name of one, or one with other sensors; ``more`` is the number of further records.
 
     Raises Unreachable where a few vehicles and manoeuvres did not show an effect so strongly, KeyError for a system or
     an effect that is not there.
     """
     names = (effects,) if isinstance(effects, str) else tuple(effects)
-    s = SYSTEMS[system]
+    s = SYSTEMS[system] if isinstance(system, str) else system
     hidden = [s.effect(name) for name in names]
     wanted = STRENGTHS[strength] if isinstance(strength, str) and names else strength
     if noise not in NOISES:
         raise ValueError(f"noise is one of {NOISES}, not {noise!r}")
-    rng = np.random.default_rng([seed, zlib.crc32(system.encode())])
+    rng = np.random.default_rng([seed, zlib.crc32(s.name.encode())])
     why = ""
     for _ in range(ATTEMPTS):
         vehicle = s.vehicle(rng)
@@ -161,9 +166,14 @@ def make(
         if not all(np.isfinite(y).all() for e in (data, held) if e for y in e.outputs.values()):
             why = "the truth is not finite"
             continue
+        settings = [_Setting.draw(s, vehicle, rng, moving, steady=False) for _ in range(more)]
+        records = [each.record(parts, colours, rng, f"data {k}")[0] for k, each in enumerate(settings, 2) if each]
+        if len(records) < more:
+            why = "no further manoeuvre stays within limits"
+            continue
         return Case(
-            name=f"{system} {' + '.join(names) or 'nothing'} {strength} {noise} {seed}",
-            system=system,
+            name=f"{s.name} {' + '.join(names) or 'nothing'} {strength} {noise} {seed}",
+            system=s.name,
             model=s.model(),
             data=data,
             validation=held,
@@ -178,8 +188,9 @@ def make(
             colours=colours,
             clean=clean,
             baseline=baseline,
+            more=tuple(records),
         )
-    raise Unreachable(f"{system}, {' + '.join(names)}, {strength}, seed {seed}: {why}")
+    raise Unreachable(f"{s.name}, {' + '.join(names)}, {strength}, seed {seed}: {why}")
 
 
 def _sized(baseline: Baseline, effects: Collection[Effect], wanted: Any, rng: np.random.Generator) -> list[Part] | str:

@@ -27,6 +27,8 @@ STRENGTHS = {"weak": 60.0, "medium": 250.0, "strong": 1000.0}
 
 NOISES = ("white", "coloured")
 ATTEMPTS = 4
+FARTHEST = 100.0
+"""Times the range of the first record."""
 SIMILAR = 0.8
 """Two effects are not hidden together where what is left of one resembles the other more than this (cosine)."""
 
@@ -171,6 +173,9 @@ def make(
         if len(records) < more:
             why = "no further manoeuvre stays within limits"
             continue
+        if any(_runs_away(data, e) for e in (held, *records) if e):
+            why = "with the effect a record runs away"
+            continue
         return Case(
             name=f"{s.name} {' + '.join(names) or 'nothing'} {strength} {noise} {seed}",
             system=s.name,
@@ -191,6 +196,11 @@ def make(
             more=tuple(records),
         )
     raise Unreachable(f"{s.name}, {' + '.join(names)}, {strength}, seed {seed}: {why}")
+
+
+def _runs_away(data: ph.Experiment, other: ph.Experiment) -> bool:
+    """Tell whether another record goes farther than any vehicle would: limits hold for what moves without the effect."""
+    return any(not np.ptp(other.output(n)) < FARTHEST * np.ptp(data.output(n)) for n in data.outputs)
 
 
 def _sized(baseline: Baseline, effects: Collection[Effect], wanted: Any, rng: np.random.Generator) -> list[Part] | str:

@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,15 @@ SYSTEMS_OF = {
     "hysteresis": POSITIONS, "friction": POSITIONS, "wind": WINDY, "end stop": STOPPED, "displaced": DISPLACED,
 }  # fmt: skip
 """Systems in which a situation can be, where that is not all."""
+
+RINGS, HEAVIEST = 200.0, 0.6
+"""A flexible part shows where the squares of what it adds at high frequencies, in units of the noise, sum up to this; and
+its largest mass, in parts of that of what it is attached to."""
+
+CONTACTS = 3
+"""An end stop is met so often, at least: once would be an event."""
+
+ATTEMPTS = 8
 
 RECORDS = 4
 """Number of records, where a parameter differs from record to record."""
@@ -79,7 +89,7 @@ def situation(what: str, system: str, seed: int) -> Situation:
         data = [case.data, *case.more] if case.more else case.data
         assert case.validation is not None
         return Situation(name, system, what, seed, case.model, data, case.validation, case.truth, case.coefficients)
-    for _ in range(4):
+    for _ in range(ATTEMPTS):
         vehicle = s.vehicle(rng)
         size = float(rng.uniform(0.7, 1.4))
         if what == "other parameter":
@@ -91,11 +101,20 @@ def situation(what: str, system: str, seed: int) -> Situation:
             return Situation(name, system, what, seed, s.model(), several[:-1], several[-1], truth)
         twist, truth, sizes = twist_of(what, s, vehicle, rng, size)
         if what == "end stop":
-            limit = _limit(s, vehicle, rng)
-            if limit is None:
+            frequency, loss, part = rng.uniform(0.4, 1.0), rng.uniform(0.5, 2.0), rng.uniform(0.3, 0.7)
+            # Where the first record would go without the stop: the same random numbers.
+            free = record(s, vehicle, deepcopy(rng), Twist(), "free")
+            if free is None:
                 continue
-            twist, truth, sizes = end_stop(s, rng, limit), (f"{STOPPED[system][0]}:limit",), {"limit": limit}
+            x = free[1][STOPPED[system][0]]
+            limit = float(np.median(x) + part * (x.max() - np.median(x)))
+            twist, truth = end_stop(s, limit, frequency, loss), (f"{STOPPED[system][0]}:limit",)
+            sizes = {"limit": limit}
         first = record(s, vehicle, rng, twist, "data")
+        if what == "end stop" and (first is None or _contacts(first[1][STOPPED[system][0]], limit) < CONTACTS):
+            continue
+        if what == "mode":
+            first = _visible(s, vehicle, rng, twist, first)
         if what == "event":  # it happened once
             twist.force = None
         if what in ("gust", "wind"):
@@ -122,15 +141,36 @@ def _again(twist: Twist, s: System, rng: np.random.Generator) -> Twist:
     return Twist(force=lambda x, u, now: force(x, u, (now + away) % s.t[-1]))
 
 
-def _limit(s: System, vehicle: Vehicle, rng: np.random.Generator) -> float | None:
-    """Where a stop is met: at 0.5 to 0.8 of the way from the middle to the end that the free motion of the first record
-    reaches."""
-    part = float(rng.uniform(0.5, 0.8))
-    free = record(s, vehicle, deepcopy(rng), Twist(), "free")
-    if free is None:
-        return None
-    x = free[1][STOPPED[s.name][0]]
-    return float(np.median(x) + part * (x.max() - np.median(x)))
+def _visible(s: System, vehicle: Vehicle, rng: np.random.Generator, twist: Twist, first: Any) -> Any:
+    """A first record in which a flexible part shows plainly, its mass doubled until it does; None where it does not."""
+    part = twist.attached
+    assert part is not None
+    for mass in part.mass * 2.0 ** np.arange(4):
+        if mass > HEAVIEST:
+            return None
+        twist.attached = replace(part, mass=float(mass))
+        again = deepcopy(rng)
+        first, rigid = record(s, vehicle, rng, twist, "data"), record(s, vehicle, again, Twist(), "rigid")
+        if first is None or rigid is None:
+            return None
+        # What it rings with is quicker than the rigid motion, to which its mass adds.
+        fast = part.frequency / (2.0 * np.pi) / 2.0
+        rings = [_faster(first[1][n] - rigid[1][n], fast * s.step) / s.sigma[n] for n in s.outputs]
+        if float(np.sum(np.square(rings))) > RINGS:
+            return first
+    return None
+
+
+def _faster(x: np.ndarray, cycles: float) -> np.ndarray:
+    """(n,) with frequencies above so many cycles in a sample interval only."""
+    spectrum = np.fft.rfft(x - np.linspace(x[0], x[-1], x.size))
+    spectrum[np.fft.rfftfreq(x.size) < cycles] = 0.0
+    return np.fft.irfft(spectrum, x.size)
+
+
+def _contacts(x: np.ndarray, limit: float) -> int:
+    """How often a position goes beyond a limit."""
+    return int(np.sum(np.diff((x > limit).astype(int)) > 0))
 
 
 def _records(

@@ -249,17 +249,19 @@ def _displaced(s: System, rng: np.random.Generator, size: float) -> tuple[Twist,
     return Twist(displaced=ahead), (f"{y_name}:{rate}" + "'" * (which == "accelerometer"),), {"arm": arm}
 
 
-def end_stop(s: System, rng: np.random.Generator, limit: float) -> Twist:
+def end_stop(s: System, limit: float, frequency: float, loss: float) -> Twist:
     """A stop of the position beyond the limit: an elastic contact with losses (Hunt and Crossley 1975, their eq. 11 with
-    exponent 1), which only pushes."""
+    exponent 1), which only pushes. ``frequency`` is that of a mass on the spring of the contact, rad in a sample
+    interval; ``loss`` the part by which the force is greater at the greatest speed inwards."""
     x, v = STOPPED[s.name]
     i, j = list(s.states).index(x), list(s.states).index(v)
-    stiffness = (float(rng.uniform(0.8, 1.6)) / s.step) ** 2
-    loss = float(rng.uniform(0.5, 2.0)) / s.limits[v]
+    stiffness, loss = (frequency / s.step) ** 2, loss / s.limits[v]
     unit = np.eye(len(s.states))[j]
 
-    def stops(z: Any, acting: Any, now: float) -> Any:
-        beyond = max(float(z[i]) - limit, 0.0)
-        return -max(stiffness * beyond * (1.0 + loss * float(z[j])), 0.0) * unit
+    def push(z: Any) -> float:
+        return -max(stiffness * max(float(z[i]) - limit, 0.0) * (1.0 + loss * float(z[j])), 0.0)
 
-    return Twist(force=stops)
+    def feels(x: Any, f: Any, y: Mapping[str, Any]) -> Mapping[str, Any]:
+        return {**y, "a": y["a"] + push(x)} if "a" in y else y
+
+    return Twist(force=lambda z, acting, now: push(z) * unit, displaced=feels)

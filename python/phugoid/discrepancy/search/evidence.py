@@ -252,12 +252,15 @@ class Assessment:
 
     def _wanders(self, base: Refit, more: Refit, candidate: Candidate) -> bool:
         """Tell whether a candidate is a drift that is no likelier than a random walk of the sensor, or, of a parameter,
-        of all sensors: a walk rises or falls over a record by chance."""
+        of all sensors: a walk rises or falls over a record by chance. Beside a drift that is one no walk is left;
+        where one is, the drift must be significant in noise that walks."""
         if not isinstance(candidate, Effect) or candidate.family not in _DRIFTS:
             return False
         of_sensor = candidate.place.kind == "output"
         outputs = [candidate.place.name] if of_sensor else base.linear.model.output_names
-        return self.gain(base, more) / 2.0 < wandering(base, outputs)
+        before, after = wandering(base, outputs), wandering(more, outputs)
+        beyond = 2.0 * (after - before) + self.gain(base, more)
+        return beyond < (self.needed(more, candidate) if after > 0.0 else 0.0)
 
     def _rings_too(self, at: Refit, candidate: Candidate) -> bool:
         """Tell whether a candidate is a disturbance at the frequency of a mode at which the residuals of the base ring:

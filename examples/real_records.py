@@ -154,7 +154,7 @@ def laboratory(name: str) -> np.ndarray | None:
 
 
 COUNT = 2 * np.pi / 2000  # of the encoder of the pendulums, in rad
-PER_AMPERE = 0.0934 / 0.028 / 6.28  # m/s²: torque constant, N m/A, radius of the wheel, m, and mass, kg, of the cart (Skov)
+PER_AMPERE = 0.0934 / 0.028 / 6.28  # m/s²: torque constant, N m/A; radius of the wheel, m; mass, kg (Skov)
 SMALL_FORCE = 0.01  # m/s², of a dry friction of about 0.4
 FORCE = "Friction differs with direction and place (Skov): in one record the same as a force to one side."
 CASES: dict[str, Callable[[], Case | None]] = {
@@ -184,8 +184,8 @@ def said(d: ph.Diagnosis) -> list[str]:
 
 
 def judged(d: ph.Diagnosis, case: Case) -> str:
-    """Return whether a diagnosis agrees with what is known: "agrees", "agrees in part", where something else is named as
-    well, "does not agree", "does not name it", or "open" where nothing is known."""
+    """Return whether a diagnosis agrees with what is known: "agrees", "agrees in part", where it names something else
+    as well, "does not agree", "does not name it", or "open" where nothing is known."""
     if case.right is None:
         return "open"
     named = [{f.cause, *f.aliases} for f in d.findings if f.status == "named"]

@@ -83,7 +83,7 @@ def _without(s: System, missing: tuple[str, ...]) -> System:
 
 
 def _twice(s: System, rng: np.random.Generator) -> tuple[System, str]:
-    """The system with a second sensor of an output, half as noisy or twice, and the name of a fault of one of the two."""
+    """The system with a second sensor of an output, and the name of a fault of one of the two."""
     faults = ("scale", "bias", "drift", "delay")
     doubled = [n for n in s.outputs if f"b_{n}" not in s.biases]
     known = [e for e in s.effects if e.where in doubled and e.what in faults]

@@ -1,8 +1,8 @@
 """Situations of real records: disturbances, faults of data, effects with a memory, several records, and data with
 nothing hidden.
 
-The systems are those of the other cases. Terms of the physics in other sets of sensors and records are made as the other
-cases are (`sets`); all else is integrated step by step (`twisted`).
+The systems are those of the other cases. Terms of the physics in other sets of sensors and records are made as the
+other cases are (`sets`); all else is integrated step by step (`twisted`).
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ SYSTEMS_OF = {
 """Systems in which a situation can be, where that is not all."""
 
 RINGS, HEAVIEST = 200.0, 0.6
-"""A flexible part shows where the squares of what it adds at high frequencies, in units of the noise, sum up to this; and
-its largest mass, in parts of that of what it is attached to."""
+"""A flexible part shows where the squares of what it adds at high frequencies, in units of the noise, sum up to this;
+and its largest mass, in parts of that of what it is attached to."""
 
 CONTACTS = 3
 """An end stop is met so often, at least: once would be an event."""

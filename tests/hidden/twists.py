@@ -1,4 +1,4 @@
-"""Twists by the name of the situation: disturbances, inputs that act otherwise, forces with a memory, displaced sensors."""
+"""Twists by the name of the situation: disturbances, inputs that act otherwise, forces with a memory, other sensors."""
 
 from __future__ import annotations
 
@@ -42,7 +42,11 @@ MODES = {
 }
 """Where a flexible part is attached: the state that it moves with, and the quantity in its equation."""
 
-DISPLACED = {"hfb320": ("vane", "accelerometer"), "lateral": ("vane", "accelerometer", "gyro"), "uav": ("vane", "accelerometer")}
+DISPLACED = {
+    "hfb320": ("vane", "accelerometer"),
+    "lateral": ("vane", "accelerometer", "gyro"),
+    "uav": ("vane", "accelerometer"),
+}
 """Sensors that may be ahead of the centre of gravity, or turned."""
 
 ARMS = {
@@ -213,6 +217,7 @@ def _feedback(s: System, vehicle: Vehicle) -> Callable[..., Any]:
     sign = {"hfb320": 1.0, "duffing": -1.0, "servo": -1.0, "lateral": 1.0, "uav": 1.0}[s.name]
     return lambda now, measured: {u: sign * gain * measured[rate]}
 
+
 def _mode(s: System, rng: np.random.Generator, size: float) -> tuple[Twist, tuple[str, ...], dict[str, float]]:
     """A flexible part with 5 to 10 samples in a period and 1 to 4 % of critical damping."""
     which, place = MODES[s.name]
@@ -236,7 +241,10 @@ def _displaced(s: System, rng: np.random.Generator, size: float) -> tuple[Twist,
 
         return Twist(displaced=turned), ("p:r",), {"angle": float(angle)}
     rate, arm = ("r" if s.name == "lateral" else "q"), size * ARMS[s.name][which] * float(rng.uniform(0.7, 1.3))
-    sensor = {"vane": "beta" if s.name == "lateral" else "alpha", "accelerometer": "ay" if s.name == "lateral" else "az"}
+    sensor = {
+        "vane": "beta" if s.name == "lateral" else "alpha",
+        "accelerometer": "ay" if s.name == "lateral" else "az",
+    }
     y_name, i, side = sensor[which], names.index(rate), 1.0 if s.name == "lateral" else -1.0
 
     def ahead(x: Any, f: Any, y: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -250,9 +258,9 @@ def _displaced(s: System, rng: np.random.Generator, size: float) -> tuple[Twist,
 
 
 def end_stop(s: System, limit: float, frequency: float, loss: float) -> Twist:
-    """A stop of the position beyond the limit: an elastic contact with losses (Hunt and Crossley 1975, their eq. 11 with
-    exponent 1), which only pushes. ``frequency`` is that of a mass on the spring of the contact, rad in a sample
-    interval; ``loss`` the part by which the force is greater at the greatest speed inwards."""
+    """A stop of the position beyond the limit: an elastic contact with losses (Hunt and Crossley 1975, exponent 1) that
+    only pushes. ``frequency`` is that of a mass on the spring of the contact, rad in a sample interval; ``loss`` the
+    part by which the force is greater at the greatest speed inwards."""
     x, v = STOPPED[s.name]
     i, j = list(s.states).index(x), list(s.states).index(v)
     stiffness, loss = (frequency / s.step) ** 2, loss / s.limits[v]

@@ -38,8 +38,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
 
 from real_records import CASES, judged, said
 
-diagnoses: dict[str, ph.Diagnosis] = {}
-verdicts: dict[str, str] = {}
+diagnoses, verdicts = {}, {}
 
 
 def diagnose(*names: str) -> None:

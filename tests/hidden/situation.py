@@ -42,7 +42,7 @@ SYSTEMS_OF = {
 
 RINGS, HEAVIEST = 200.0, 0.6
 """A flexible part shows where the squares of what it adds at high frequencies, in units of the noise, sum up to this;
-and its largest mass, in parts of that of what it is attached to."""
+and its largest mass, in parts of the whole."""
 
 CONTACTS = 3
 """An end stop is met so often, at least: once would be an event."""

@@ -20,7 +20,7 @@ class Attached:
     place      quantity in which the force of the spring stands; "" where it stands in the equation.
     frequency  rad/s, of the small mass where the other is at rest.
     damping    ratio.
-    mass       of the small one, in parts of the other.
+    mass       of the small one, in parts of both together: what is slow moves as if it were rigid.
     """
 
     equation: int
@@ -29,9 +29,11 @@ class Attached:
     damping: float
     mass: float
 
-    def push(self, z: np.ndarray) -> float:
-        """Return the acceleration by the spring; displacement and rate of the small mass are the last states."""
-        return float(self.mass * (self.frequency**2 * z[-2] + 2 * self.damping * self.frequency * z[-1]))
+    def push(self, z: np.ndarray, rigid: float) -> float:
+        """Return what is added to the acceleration that both would have if they were rigid; displacement and rate of the
+        small mass are the last states."""
+        spring = self.frequency**2 * z[-2] + 2 * self.damping * self.frequency * z[-1]
+        return float(self.mass / (1.0 - self.mass) * (rigid + spring))
 
     def slopes(self, z: np.ndarray, acceleration: float) -> list[float]:
         """Return the derivatives of displacement and rate, relative to what it is attached to."""

@@ -56,9 +56,9 @@ class _Motion:
         q = self.s.quantities(x + wind(now) if wind else x, acting, p)
         if attached and attached.place:
             i, place = attached.equation, attached.place
-            more = {**q, place: q[place] + 1.0}
-            gain = self.s.dynamics(x, acting, more, p)[i] - self.s.dynamics(x, acting, q, p)[i]
-            q[place] = q[place] + attached.push(z) / float(gain)
+            rigid = float(self.s.dynamics(x, acting, q, p)[i])
+            gain = float(self.s.dynamics(x, acting, {**q, place: q[place] + 1.0}, p)[i]) - rigid
+            q[place] = q[place] + attached.push(z, rigid) / gain
         return q
 
     def rhs(self, now: float, z: np.ndarray, acting: list[float]) -> np.ndarray:
@@ -70,7 +70,7 @@ class _Motion:
         if not attached:
             return f
         if not attached.place:
-            f[attached.equation] += attached.push(z)
+            f[attached.equation] += attached.push(z, f[attached.equation])
         return np.concatenate([f, attached.slopes(z, f[attached.equation])])
 
     def measured(self, now: float, z: np.ndarray, acting: list[float]) -> Mapping[str, Any]:

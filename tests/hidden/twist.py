@@ -30,8 +30,8 @@ class Attached:
     mass: float
 
     def push(self, z: np.ndarray, rigid: float) -> float:
-        """Return what is added to the acceleration that both would have if they were rigid; displacement and rate of the
-        small mass are the last states."""
+        """Return what is added to the acceleration that both would have if they were rigid; displacement and rate of
+        the small mass are the last states."""
         spring = self.frequency**2 * z[-2] + 2 * self.damping * self.frequency * z[-1]
         return float(self.mass / (1.0 - self.mass) * (rigid + spring))
 

@@ -8,6 +8,10 @@ An effect is found where its name is the cause of a finding or among its aliases
 
     python benchmarks/discrepancy.py --n 200 --seed 0 --processes 2 --list
     python benchmarks/discrepancy.py --only 17
+    python benchmarks/discrepancy.py --n 40 --leave-out --nothing 0 --doubles 0
+
+With --leave-out the library lacks the families of candidates that a case's effects belong to: whatever is named then is
+not what was hidden, though it may be all but the same.
 
 Draws depend on --systems, --strengths, --noise, --doubles and --nothing too: give them again with --only, or make the
 case by the call that --list prints. Writes nothing.
@@ -21,7 +25,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes share the cores
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 
-from discrepancy_scores import accuracy, costs, diagnosed, hidden, honesty, recall, share
+from discrepancy_scores import accuracy, costs, diagnosed, hidden, honesty, outside, recall, share
 from rich.markup import escape
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 from tables import console, show
@@ -34,14 +38,14 @@ GROUPS = {
 }
 
 
-def outcomes(seeds, choice, processes):
+def outcomes(seeds, choice, processes, leave_out):
     """Outcomes of the seeds, as they come."""
     if processes == 1:
-        yield from (diagnosed(seed, choice) for seed in seeds)
+        yield from (diagnosed(seed, choice, leave_out=leave_out) for seed in seeds)
         return
     # Fresh processes: threads of the numerical core do not live through a fork.
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as executor:
-        jobs = [executor.submit(diagnosed, seed, choice) for seed in seeds]
+        jobs = [executor.submit(diagnosed, seed, choice, None, leave_out) for seed in seeds]
         try:
             for job in as_completed(jobs):
                 yield job.result()
@@ -50,7 +54,7 @@ def outcomes(seeds, choice, processes):
             raise
 
 
-def run(n=200, seed=0, processes=2, only=(), listed=False, **choice):
+def run(n=200, seed=0, processes=2, only=(), listed=False, leave_out=False, **choice):
     """Measure and print."""
     seeds = list(only) or range(seed, seed + n)
     done = []
@@ -58,7 +62,7 @@ def run(n=200, seed=0, processes=2, only=(), listed=False, **choice):
     try:
         with Progress(*columns, "{task.fields[failed]} failed", console=console, transient=True) as progress:
             task = progress.add_task("cases", total=len(seeds), failed=0)
-            for outcome in outcomes(seeds, choice, processes):
+            for outcome in outcomes(seeds, choice, processes, leave_out):
                 done.append(outcome)
                 progress.update(task, advance=1, failed=sum(o.failed for o in done))
                 if only:
@@ -66,24 +70,29 @@ def run(n=200, seed=0, processes=2, only=(), listed=False, **choice):
     except KeyboardInterrupt:
         console.print(f"interrupted after {len(done)} of {len(seeds)} cases")
     done.sort(key=lambda o: o.seed)
-    report(done)
+    report(done, leave_out)
     if listed:
-        failed = [o for o in done if o.failed]
-        console.print(f"Failed: {len(failed) or 'none'}")
+        failed = done if leave_out else [o for o in done if o.failed]
+        console.print(f"{'All' if leave_out else 'Failed'}: {len(failed) or 'none'}")
         for o in failed:
             console.print(escape(str(o)), soft_wrap=True)
 
 
-def report(done):
+def report(done, leave_out=False):
     """Tables of the counts."""
     # A case in which something was raised counts as one in which nothing was found.
     tried = [o for o in done if not o.error.startswith("not made")]
-    for title, by in GROUPS.items():
+    if leave_out:
+        for title in ("strength", "kind"):
+            heads = [title, "cases", "named", "unexplained", "minor or surrogate", "nothing"]
+            show(f"Effects that the library has not, by {title}", heads, outside(tried, GROUPS[title]))
+    for title, by in () if leave_out else GROUPS.items():
         rows = recall(tried, by)
         if rows:
             show(f"Recall by {title}", [title, "found", "named first"], rows)
-    show("What is not there", ["", "share"], honesty(tried))
-    rows = accuracy(tried)
+    if not leave_out:
+        show("What is not there", ["", "share"], honesty(tried))
+    rows = [] if leave_out else accuracy(tried)
     if rows:
         show(
             "Coefficients, where the effect is named first",
@@ -112,10 +121,11 @@ def main():
     parser.add_argument("--no-validation", action="store_true", help="no second manoeuvre")
     parser.add_argument("--only", type=int, nargs="+", default=(), metavar="SEED", help="these cases")
     parser.add_argument("--list", action="store_true", help="print the failed cases")
+    parser.add_argument("--leave-out", action="store_true", help="the library has not what is hidden")
     a = parser.parse_args()
     choice = {"systems": a.systems, "strengths": a.strengths, "noises": a.noise}
     choice |= {"doubles": a.doubles, "empty": a.nothing, "validation": not a.no_validation}
-    run(a.n, a.seed, a.processes, a.only, a.list, **choice)
+    run(a.n, a.seed, a.processes, a.only, a.list, a.leave_out, **choice)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 
 import sys
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tables import median, seconds
@@ -49,6 +50,7 @@ class Outcome:
     again    the call that makes it.
     truth    effect -> kind.
     error    what was raised, or "".
+    verdict  of the diagnosis.
     time     of the diagnosis, s; ``fit_time`` and ``make_time`` before it.
     """
 
@@ -61,6 +63,7 @@ class Outcome:
     coefficients: dict[str, float]
     found: tuple[Found, ...] = ()
     error: str = ""
+    verdict: str = ""
     time: float = float("nan")
     fit_time: float = float("nan")
     make_time: float = float("nan")
@@ -89,8 +92,9 @@ class Outcome:
         return f"{self.seed}: {self.again}: {self.error or found}"
 
 
-def diagnosed(seed: int, choice: dict, diagnose: Callable | None = None) -> Outcome:
-    """Makes the case of a seed, fits it and diagnoses it (by `ph.diagnose`)."""
+def diagnosed(seed: int, choice: dict, diagnose: Callable | None = None, leave_out: bool = False) -> Outcome:
+    """Makes the case of a seed, fits it and diagnoses it (by `ph.diagnose`); with ``leave_out`` without the families of
+    candidates that what is hidden belongs to."""
     import phugoid as ph
 
     begin = time.perf_counter()
@@ -103,7 +107,8 @@ def diagnosed(seed: int, choice: dict, diagnose: Callable | None = None) -> Outc
     try:
         fit = ph.estimate(case.model, case.data)
         fitted = time.perf_counter()
-        d = (diagnose or ph.diagnose)(fit, validation=case.validation)
+        known = {"candidates": _without(case)} if leave_out else {}
+        d = (diagnose or ph.diagnose)(fit, validation=case.validation, **known)
         done = time.perf_counter()
     except Exception as error:
         text = str(error).strip().partition("\n")[0]
@@ -113,7 +118,30 @@ def diagnosed(seed: int, choice: dict, diagnose: Callable | None = None) -> Outc
         for f in d.findings
     )
     times = {"time": done - fitted, "fit_time": fitted - made, "make_time": made - begin}
-    return Outcome(*about, found, **times)
+    return Outcome(*about, found, verdict=d.verdict, **times)
+
+
+def _without(case: hidden.Case) -> Any:
+    """The library without the families of what a case hides."""
+    import phugoid as ph
+
+    families = {c.name: c.family for c in ph.candidates(case.model)}
+    return ph.candidates(case.model, leave_out=sorted({families[name] for name in case.truth}))
+
+
+def outside(outcomes: Iterable[Outcome], by: Callable[[Outcome, str], str]) -> list[list[str]]:
+    """Rows: group, number of cases, and how diagnoses of effects that the library has not end: the shares of those in
+    which a cause is named, in which the misfit is unexplained, and in which little (a minor finding or a surrogate) or
+    nothing is said to be missing."""
+    counts: dict[str, Counter] = defaultdict(Counter)
+    for o in outcomes:
+        for group in {by(o, effect) for effect in o.truth} | ({"all"} if o.truth else set()):
+            counts[group][o.verdict] += 1
+    rows = []
+    for group, c in sorted(counts.items(), key=lambda item: (item[0] == "all", item[0])):
+        n, little = c.total(), c["minor"] + c["surrogate"]
+        rows.append([group, str(n), *(share(k, n) for k in (c["named"], c["unexplained"], little, c["nothing"]))])
+    return rows
 
 
 def share(part: int, whole: int) -> str:

@@ -1,8 +1,10 @@
 """What `ph.diagnose` says of records in situations that no term of the physics describes.
 
 Records are drawn by tests/hidden/situation.py, which knows nothing of the method: gusts, noise on a recorded input, a
-single event, a parameter that drifts, backlash, a limited rate, a held input, a clipped sensor, a term that no library
-has, and nothing at all under eight kinds of noise. Each is fitted and diagnosed with a second record as held-out data.
+single event, a parameter that drifts or differs from record to record, backlash, a limited rate, a held input, an end
+stop, a flexible part, displaced and clipped sensors, a term that no library has; terms where the state that they act on
+is not measured, where a quantity has two sensors, and where there are several records; and nothing at all under several
+kinds of noise. Each is fitted and diagnosed with one more record as held-out data.
 
 right         all that is named is there.
 partly        something that is there is named, and something else, too.

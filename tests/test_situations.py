@@ -44,6 +44,8 @@ def diagnosed(what: str, system: str, seed: int) -> tuple[ph.Diagnosis, tuple[st
         ("drift", "servo", 510),
         ("clipped", "duffing", 511),
         ("friction", "servo", 512),
+        ("redundant", "duffing", 6101),
+        ("unmeasured", "duffing", 83001),
     ],
 )
 def test_what_is_wrong_is_named_and_nothing_else(what: str, system: str, seed: int) -> None:

@@ -27,6 +27,8 @@ STRENGTHS = {"weak": 60.0, "medium": 250.0, "strong": 1000.0}
 
 NOISES = ("white", "coloured")
 ATTEMPTS = 4
+FARTHEST = 100.0
+"""Times the range of the first record."""
 SIMILAR = 0.8
 """Two effects are not hidden together where what is left of one resembles the other more than this (cosine)."""
 
@@ -55,6 +57,7 @@ class Case:
     colours       output -> correlation of its noise.
     clean         output -> (N,) of ``data`` without noise.
     baseline      of ``data``: the strength of anything can be computed from it.
+    more          further records of the vehicle, of other manoeuvres.
     """
 
     name: str
@@ -73,6 +76,7 @@ class Case:
     colours: dict[str, Colour]
     clean: dict[str, np.ndarray]
     baseline: Baseline
+    more: tuple[ph.Experiment, ...] = ()
 
     def again(self) -> str:
         """The call that makes this case."""
@@ -119,25 +123,28 @@ class _Setting:
 
 
 def make(
-    system: str,
+    system: str | System,
     effects: str | Collection[str],
     strength: str | float,
     noise: str,
     seed: int,
     validation: bool = True,
+    more: int = 0,
 ) -> Case:
     """A case that hides these effects of a system, each of that strength if it were alone; all else from the seed.
+
+    ``system`` is the name of one, or one with other sensors; ``more`` is the number of further records.
 
     Raises Unreachable where a few vehicles and manoeuvres did not show an effect so strongly, KeyError for a system or
     an effect that is not there.
     """
     names = (effects,) if isinstance(effects, str) else tuple(effects)
-    s = SYSTEMS[system]
+    s = SYSTEMS[system] if isinstance(system, str) else system
     hidden = [s.effect(name) for name in names]
     wanted = STRENGTHS[strength] if isinstance(strength, str) and names else strength
     if noise not in NOISES:
         raise ValueError(f"noise is one of {NOISES}, not {noise!r}")
-    rng = np.random.default_rng([seed, zlib.crc32(system.encode())])
+    rng = np.random.default_rng([seed, zlib.crc32(s.name.encode())])
     why = ""
     for _ in range(ATTEMPTS):
         vehicle = s.vehicle(rng)
@@ -161,9 +168,17 @@ def make(
         if not all(np.isfinite(y).all() for e in (data, held) if e for y in e.outputs.values()):
             why = "the truth is not finite"
             continue
+        settings = [_Setting.draw(s, vehicle, rng, moving, steady=False) for _ in range(more)]
+        records = [each.record(parts, colours, rng, f"data {k}")[0] for k, each in enumerate(settings, 2) if each]
+        if len(records) < more:
+            why = "no further manoeuvre stays within limits"
+            continue
+        if any(_runs_away(data, e) for e in (held, *records) if e):
+            why = "with the effect a record runs away"
+            continue
         return Case(
-            name=f"{system} {' + '.join(names) or 'nothing'} {strength} {noise} {seed}",
-            system=system,
+            name=f"{s.name} {' + '.join(names) or 'nothing'} {strength} {noise} {seed}",
+            system=s.name,
             model=s.model(),
             data=data,
             validation=held,
@@ -178,8 +193,14 @@ def make(
             colours=colours,
             clean=clean,
             baseline=baseline,
+            more=tuple(records),
         )
-    raise Unreachable(f"{system}, {' + '.join(names)}, {strength}, seed {seed}: {why}")
+    raise Unreachable(f"{s.name}, {' + '.join(names)}, {strength}, seed {seed}: {why}")
+
+
+def _runs_away(data: ph.Experiment, other: ph.Experiment) -> bool:
+    """Tell whether another record goes farther than a vehicle would: limits hold for what moves without the effect."""
+    return any(not np.ptp(other.output(n)) < FARTHEST * np.ptp(data.output(n)) for n in data.outputs)
 
 
 def _sized(baseline: Baseline, effects: Collection[Effect], wanted: Any, rng: np.random.Generator) -> list[Part] | str:

@@ -302,17 +302,16 @@ def _limits(structure: ModelStructure, scales: Scales, names: _Names) -> Iterato
     units = structure.model.units
     for v in structure.variables:
         x = v.symbol
-        if v.kind != "state" or x not in structure.dynamics or v.rate or units.get(x, "") in ANGLES:
+        if v.kind != "state" or x not in structure.dynamics or v.rate or structure.turns_freely(x):
             continue
         e, limit = structure.dynamics[x], names(f"limit_of_{x}")
         speed = next((w.symbol for w in structure.variables if w.kind == "state" and e == Expr.symbol(w.symbol)), "")
-        if speed in places:
+        at = structure.force_on(speed) if speed else None
+        if at is not None:
             words = f"{x} meets an end stop, which acts on {speed} like a stiff spring"
             stiffness = names(f"stop_of_{x}")
-            yield EndStop(
-                f"{x}:limit", Place("equation", speed), words, "limit", scales, (stiffness,), (limit,), variables=(x,)
-            )
-        elif x in places and not units.get(x, "").endswith("/s"):
+            yield EndStop(f"{x}:limit", at, words, "limit", scales, (stiffness,), (limit,), variables=(x,))
+        elif x in places and units.get(x, "") not in ANGLES and not units.get(x, "").endswith("/s"):
             words = f"{x} goes no further than a limit (overflow, a store that is full or empty)"
             yield StateLimit(f"{x}:limit", Place("equation", x), words, "limit", scales, (), (limit,), variables=(x,))
 

@@ -104,6 +104,24 @@ class ModelStructure:
             n for n in self.model.parameter_names if n in seen and not (declared[n].fixed or declared[n].per_experiment)
         ]
 
+    def force_on(self, speed: str) -> Place | None:
+        """Return the place at which a force on a state acts: its equation, or a quantity that stands there as it is, as
+        a force over a constant mass does; None where no parameters stand there."""
+        if Place("equation", speed) in self.places:
+            return Place("equation", speed)
+        e = self.dynamics[speed]
+        for place in self.places:
+            if place.kind == "quantity" and place.name in e.symbols:
+                slope = Expr(e.diff(place.name)).constant
+                if slope is not None and slope > 0.0:
+                    return place
+        return None
+
+    def turns_freely(self, name: str) -> bool:
+        """Tell whether a state is an angle of which sines or cosines are taken, as of an attitude or of a pendulum."""
+        groups = (self.quantities, self.dynamics, self.outputs)
+        return any(_in_sine(e, name) for group in groups for e in group.values() if name in e.symbols)
+
     def _varies(self, quantity: str) -> bool:
         names = {*self.model.state_names, *self.model.declared_inputs, "time"}
         symbols = {*self.quantities[quantity].symbols}
@@ -145,3 +163,10 @@ class ModelStructure:
         inputs = self.model.declared_inputs
         clash = place.kind == "output" and (place.name in self.quantities or place.name in inputs)
         return f"y:{place.name}" if clash else place.name
+
+
+def _in_sine(e: Expr, name: str) -> bool:
+    """Tell whether a symbol stands within a trigonometric function."""
+    function, arguments = e.operation
+    inside = [a for a in arguments if name in a.symbols]
+    return bool(inside) and (function in ("sin", "cos", "tan") or any(_in_sine(a, name) for a in inside))

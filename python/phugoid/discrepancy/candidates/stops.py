@@ -72,6 +72,13 @@ class _StateEffect(Effect):
         limit = extension.parameter(name, first, bounds=(low - more, high + more), unit=unit)
         return limit, self._side(first)
 
+    def reachable(self, states: Mapping[str, _Array], start: Mapping[str, float]) -> Mapping[str, _Array]:
+        (name,) = self.shape_names
+        if name not in start:
+            return {}
+        side = self._side(start[name])
+        return {self._x: side * np.minimum(side * states[self._x], side * start[name])}
+
     def _reached(self, points: Sequence[Points]) -> tuple[float, float]:
         x = np.concatenate([of(p.values, self._x, p, "state") for p in points])
         more = _BEYOND * float(np.ptp(x))
@@ -95,13 +102,6 @@ class StateLimit(_StateEffect):
         limit = shape[self.shape_names[0]]
         side = self._side(limit)
         return np.asarray(-rate * _full(points.t, side * x, side * rate, side * limit))[np.newaxis]
-
-    def reachable(self, states: Mapping[str, _Array], start: Mapping[str, float]) -> Mapping[str, _Array]:
-        (name,) = self.shape_names
-        if name not in start:
-            return {}
-        side = self._side(start[name])
-        return {self._x: side * np.minimum(side * states[self._x], side * start[name])}
 
     def suggested(self, measured: Mapping[str, Sequence[_Array]]) -> Mapping[str, float] | None:
         """Return the upper or lower end of a measured state, where its samples crowd there."""

@@ -126,7 +126,8 @@ class Confirmation:
             # What acts as another did is no further chance: of two that are alike one may still predict.
             chances -= not known.issuperset(c.name for c in new)
             known |= {a.name for c in new for a in self._screen.alike(current, c, settled.own.filter)}
-            if unexplained is None and evidence.gain > evidence.clear:
+            # A walk of a sensor is coloured noise: nothing about it is unexplained.
+            if unexplained is None and evidence.gain > evidence.clear and not evidence.wanders:
                 rivals = {c.name: evidence.gain / 2 for c in new}
                 unexplained = Found(None, evidence.gain / 2, evidence.threshold / 2, rivals, evidence.held_out)
         return None, unexplained

@@ -10,13 +10,17 @@ import numpy as np
 
 from ...residual_noise.series import WITHIN, resolution_of
 from ...residual_noise.whitening import Whitening
-from ..candidates.candidate import Candidate
+from ..candidates.candidate import Candidate, Effect
 from .free_run import Explained, Misfitting, Simulated
 from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, predicted_blocks, predicted_from_blocks
 from .refit_cache import RefitCache
 from .ringing import is_near
+from .wandering import wandering
 
 __all__ = ["Assessment", "AssessmentSettings", "Evidence", "is_physical", "is_structured"]
+
+# Families of candidates that change in proportion to the time.
+_DRIFTS = ("drift", "variation")
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,7 @@ class Evidence:
     explained  the part of the misfit that is explained in free simulation of held-out data; None like ``held_out``,
                and where the model cannot be fitted there.
     rings      whether it is a disturbance at a mode at which the residuals ring.
+    wanders    whether it is a drift, and a random walk of the sensors is likelier.
     """
 
     gain: float
@@ -65,6 +70,7 @@ class Evidence:
     predicts: bool = False
     explained: Explained | None = None
     rings: bool = False
+    wanders: bool = False
 
     @property
     def significant(self) -> bool:
@@ -76,7 +82,7 @@ class Evidence:
         """Tell whether it is a finding: significant, confirmed by the likelihood of held-out data, and the free
         simulation of these is not worse for it."""
         worse = self.explained is None or self.explained.worse
-        return self.significant and self.predicts and not self.rings and not worse
+        return self.significant and self.predicts and not (self.rings or self.wanders or worse)
 
 
 class Assessment:
@@ -98,7 +104,8 @@ class Assessment:
         held = self.held_out(base, more)
         predicts = self.predicts(held)
         rings = predicts and any(self._rings_too(more, c) for c in more.beside(base.candidates))
-        return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings)
+        wanders = predicts and any(self._wanders(base, more, c) for c in more.beside(base.candidates))
+        return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings, wanders)
 
     def threshold(self, candidate: Candidate | None = None) -> float:
         """Twice the gain in log-likelihood that chance reaches with none of all candidates; without a candidate that
@@ -242,6 +249,18 @@ class Assessment:
         ringing = self._cache.ringing(base)
         filter = ringing.filter if ringing else base.own.filter
         return 2.0 * (more.through(filter).log_likelihood - base.through(filter).log_likelihood)
+
+    def _wanders(self, base: Refit, more: Refit, candidate: Candidate) -> bool:
+        """Tell whether a candidate is a drift that is no likelier than a random walk of the sensor, or, of a parameter,
+        of all sensors: a walk rises or falls over a record by chance. Beside a drift that is one no walk is left;
+        where one is, the drift must be significant in noise that walks."""
+        if not isinstance(candidate, Effect) or candidate.family not in _DRIFTS:
+            return False
+        of_sensor = candidate.place.kind == "output"
+        outputs = [candidate.place.name] if of_sensor else base.linear.model.output_names
+        before, after = wandering(base, outputs), wandering(more, outputs)
+        beyond = 2.0 * (after - before) + self.gain(base, more)
+        return beyond < (self.needed(more, candidate) if after > 0.0 else 0.0)
 
     def _rings_too(self, at: Refit, candidate: Candidate) -> bool:
         """Tell whether a candidate is a disturbance at the frequency of a mode at which the residuals of the base ring:

@@ -109,11 +109,12 @@ def _rings(frequencies: Sequence[float]) -> str:
 def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Finding:
     """Return a disturbance, an event or an unknown function as it is told; ``threshold`` is what its gain had to be."""
     d, nan = r.disturbance, float("nan")
-    named = d.kind != "function" and not r.moves
+    named = not r.is_unknown
     coefficient, error, unit = _size(r, fit) if named and d.kind == "noise" else (nan, nan, "")
     half = _INTERVAL * error
     label = "".join(c if c.isalnum() else "_" for c in d.name)
-    aliases = tuple(r.rivals)[:_ALIASES] if named else (() if r.moves else (d.name, *tuple(r.rivals)[: _ALIASES - 1]))
+    of_function = (d.name, *tuple(r.rivals)[: _ALIASES - 1]) if d.kind == "function" else ()
+    aliases = tuple(r.rivals)[:_ALIASES] if named else of_function
     return Finding(
         cause=d.name if named else "",
         aliases=aliases,
@@ -226,6 +227,11 @@ def _explanation(r: Remainder) -> str:
             f"what is missing in {at} is no random disturbance: it comes again with the same motion, as a function of "
             "several variables or of their past does, which no candidate describes"
         )
+    if r.bursts:
+        return (
+            f"what is missing in {at} is no random disturbance as gusts are: nearly all of it comes in bursts, in less "
+            "than a tenth of the time, and no candidate describes it"
+        )
     if d.kind == "event":
         assert d.span is not None
         record, begin, end = d.span
@@ -247,7 +253,7 @@ def _shape(d: Disturbance) -> str:
 
 def _advice(r: Remainder) -> str:
     d = r.disturbance
-    if d.kind == "function" or r.moves:
+    if r.is_unknown:
         return "A term of your own in that place, as the curve suggests it, can be tried by candidates=."
     if d.kind == "event":
         return "Leave the span out of the record, or give what happened there as an input."

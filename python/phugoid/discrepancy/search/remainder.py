@@ -45,6 +45,8 @@ class RemainderSettings:
     most       part of the misfit below which the terms of a search do not explain most of it.
     functions  unknown functions that are fitted, the likeliest to first order.
     motion     correlation with what neighbours in the motion have, beyond which a time history is no random one.
+    bursts     part of the squares of a time history in a tenth of the time, beyond which it is no stationary random
+               one: of normal values that is 0.44.
     """
 
     structure: float = 0.05
@@ -56,6 +58,7 @@ class RemainderSettings:
     most: float = 0.8
     functions: int = 2
     motion: float = 0.35
+    bursts: float = 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +72,7 @@ class Remainder:
     rivals       others of its kind that the data do not tell from it: name -> gain.
     filtered     the fit by the filter-error method.
     moves        whether the time history goes with the motion, as an unknown function of several variables does.
+    bursts       whether nearly all of the time history happens in a small part of the time.
     explained    of a function: the part of the misfit that it explains in free simulation of data held out.
     fitted       the fit with an unknown function.
     known        the fit with a candidate that explains as much as the function does; None where there is none.
@@ -81,6 +85,7 @@ class Remainder:
     rivals: Mapping[str, float] = field(default_factory=dict)
     filtered: FilterErrorRefit | None = None
     moves: bool = False
+    bursts: bool = False
     explained: Explained | None = None
     fitted: Refit | None = None
     known: Refit | None = None
@@ -88,7 +93,12 @@ class Remainder:
     @property
     def is_noise(self) -> bool:
         """Tell whether it is a stationary random disturbance."""
-        return self.disturbance.kind == "noise" and not self.moves
+        return self.disturbance.kind == "noise" and not self.is_unknown
+
+    @property
+    def is_unknown(self) -> bool:
+        """Tell whether it describes a misfit whose cause is not known: a function, or what is no random disturbance."""
+        return self.disturbance.kind == "function" or self.moves or self.bursts
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +260,14 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         if held_out <= 0.0:
             return None
     moves = d.kind == "noise" and _goes_with_motion(option.at.linear, d) > s.motion
-    return Remainder(d, option.at, gain, held_out, filtered=option.filtered, moves=moves)
+    bursts = d.kind == "noise" and _in_a_tenth(d.values) > s.bursts
+    return Remainder(d, option.at, gain, held_out, filtered=option.filtered, moves=moves, bursts=bursts)
+
+
+def _in_a_tenth(values: _Array) -> float:
+    """Return the part of the squares that the largest tenth of the values has."""
+    squares = np.sort(values**2)[::-1]
+    return float(squares[: max(squares.size // 10, 1)].sum() / max(float(squares.sum()), 1e-300))
 
 
 def _share(search: Search, at: Refit, of: Disturbance) -> float:

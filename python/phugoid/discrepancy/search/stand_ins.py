@@ -42,7 +42,7 @@ def without_stand_ins(
     named = [f for f in result.found if f.candidate is not None and f.candidate.name in final.names]
     if not named:
         return result, remainder
-    unknown = remainder is not None and (remainder.disturbance.kind == "function" or remainder.moves)
+    unknown = remainder is not None and remainder.is_unknown
     if not (unknown or is_motion(final, s.persistent)):
         return result, remainder
     together = search.assessment.explained(search.cache.base, final)

@@ -282,7 +282,10 @@ class SbmlModel:
             self._jump(name, _in_order(name, own))
 
     def set_after_rest(self, name: str, value: Expr, formulas: Formulas) -> None:
-        """Let a state begin anew at a value at time 0, after a steady state; raises ModelError where events set it, too."""
+        """Let a state begin anew at a value at time 0, after a steady state.
+
+        Raises ModelError where events set it, too.
+        """
         if name in self.jumping:
             raise ModelError(f"PEtab: not supported: both events and conditions after a steady state set {name}")
         switch = formulas.event(Switch("the_beginning", Expr.symbol(TIME)))

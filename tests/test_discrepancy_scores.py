@@ -75,11 +75,12 @@ def test_a_diagnosis_is_read_as_it_is() -> None:
         finding = SimpleNamespace(
             cause="a:b", aliases=("c:d", "e:f", "g:h", "i:j"), status="named", coefficient=1, interval=(0, 2)
         )
-        return SimpleNamespace(findings=[finding])
+        return SimpleNamespace(findings=[finding], verdict="named")
 
     read = scores.diagnosed(1, CHOICE, diagnose)
     assert asked == {"status": "converged", "held": "validation"}
     assert read.found == (Found(("a:b", "c:d", "e:f", "g:h"), "named", 1.0, (0.0, 2.0)),)
+    assert read.verdict == "named"
     assert read.time < 1 and read.fit_time > 0
 
     def broken(fit: Any, validation: Any) -> Any:

@@ -137,9 +137,11 @@ def test_a_limit_is_offered_for_stores_and_positions_only() -> None:
     assert {"x:limit", "v':hysteresis_x", "v':stribeck_v", "v':mode"} <= names
     assert not {"v:limit", "v':hysteresis_v", "v':stribeck_x"} & names
     assert {"h1:limit", "h2:limit"} <= set(ph.candidates(tanks()).names)
-    m = ph.Model("attitude")
-    a, q = m.states(a="rad", q="rad/s")
-    k, c = m.parameters("k c")
-    m.dynamics(a=q, q=-k * a - c * q)
-    m.outputs(a=a)
-    assert not any(name.endswith(":limit") for name in ph.candidates(m).names)
+    # An angle that turns freely, as its sine says, has no stop; one of which no sine is taken may.
+    for torque, stops in ((ph.sin, False), (lambda angle: angle, True)):
+        m = ph.Model("attitude")
+        a, q = m.states(a="rad", q="rad/s")
+        k, c = m.parameters("k c")
+        m.dynamics(a=q, q=-k * torque(a) - c * q)
+        m.outputs(a=a)
+        assert ("a:limit" in ph.candidates(m).names) == stops

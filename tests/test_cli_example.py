@@ -44,7 +44,7 @@ def test_list_and_files_that_are_there(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_an_argument_stays_one_where_python_makes_it_optional() -> None:
-    """As Python 3.10 does with the default None."""
+    """Make it optional, as Python 3.10 does with the default None."""
 
     def example(name: Annotated[str | None, "argument"] = None, other: int = 0) -> None: ...
 

@@ -17,7 +17,7 @@ OF_SENSORS = ("quantised", "growing", "clipped", "friction", "two rates", "gap")
 """Situations in which records go through `sensed`; friction is felt by an encoder."""
 
 COARSE, SLOWER = 4, 3
-"""Of so many samples a coarse record has one, and the slower sensor of a record with two rates."""
+"""Say of how many samples a coarse record keeps one, and the slower sensor of a record with two rates."""
 
 
 def coarse(e: ph.Experiment) -> ph.Experiment:

@@ -169,7 +169,7 @@ def _faster(x: np.ndarray, cycles: float) -> np.ndarray:
 
 
 def _contacts(x: np.ndarray, limit: float) -> int:
-    """How often a position goes beyond a limit."""
+    """Count how often a position goes beyond a limit."""
     return int(np.sum(np.diff((x > limit).astype(int)) > 0))
 
 

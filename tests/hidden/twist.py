@@ -1,4 +1,4 @@
-"""How a record differs from what its model says: a disturbance, a fault of the data, an effect with a memory."""
+"""Describe how a record differs from what its model says: by a disturbance, faulty data, an effect with memory."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ MODES = {
     "lateral": ("r", "Cn"),
     "uav": ("q", ""),
 }
-"""Where a flexible part is attached: the state that it moves with, and the quantity in its equation."""
+"""Say where a flexible part is attached: the state that it moves with, and the quantity in its equation."""
 
 DISPLACED = {
     "hfb320": ("vane", "accelerometer"),

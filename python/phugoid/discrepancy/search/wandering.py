@@ -36,14 +36,15 @@ def wandering(at: Refit, outputs: Sequence[str]) -> float:
     linear, total = at.linear, 0.0
     alone = Whitened(linear, Whitening(filter.channels, linear.structure))
     names = linear.model.output_names
+    lines, covariance = _lines(linear), _walk(linear)
     for output in outputs:
         check_time()
         which = names.index(output)
         channels = list(filter.channels)
         channels[which] = Autoregression((np.empty(0),), np.array([channels[which].power]))
         own = Whitening(channels, linear.structure)
-        answers = linear.answers(Place("output", output), _lines(linear))
-        walk = RandomEffects(linear, answers, own).with_correlation(_walk(linear)).maximised(np.ones(len(names)))
+        answers = linear.answers(Place("output", output), lines)
+        walk = RandomEffects(linear, answers, own).with_correlation(covariance).maximised(np.ones(len(names)))
         total += max(walk.log_likelihood - own.parameters - 1.0 - alone.lenient_merit, 0.0)
     return total
 

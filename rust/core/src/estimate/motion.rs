@@ -54,7 +54,7 @@ pub(super) struct Accuracy {
     pub tolerance: f64,
     /// The local error of collocation that segments may have at first, as a part of each state.
     pub local: f64,
-    /// Whether the run goes on to the end where progress is slow.
+    /// Lets the run go on to its end where progress is slow.
     pub thorough: bool,
 }
 

@@ -11,7 +11,8 @@ const S6: f64 = 2.449_489_742_783_178;
 const C: [f64; 3] = [(4.0 - S6) / 10.0, (4.0 + S6) / 10.0, 1.0];
 /// Error estimate: weights of the stages.
 const E: [f64; 3] = [(-13.0 - 7.0 * S6) / 3.0, (-13.0 + 7.0 * S6) / 3.0, -1.0 / 3.0];
-/// A⁻¹ = T Λ T⁻¹ of the coefficients A of the method, where Λ has the real eigenvalue 3 + ∛9 − ∛3 and a complex pair, of which this is one (Eqs. IV.8.12 to 14).
+/// A⁻¹ = T Λ T⁻¹ of the coefficients A of the method, where Λ has the real eigenvalue 3 + ∛9 − ∛3 and a complex pair, of
+/// which this is one (Eqs. IV.8.12 to 14).
 const REAL: f64 = 3.637_834_252_744_496;
 const PAIR: (f64, f64) = (2.681_082_873_627_752, -3.050_430_199_247_410_5);
 const T: [[f64; 3]; 3] = [

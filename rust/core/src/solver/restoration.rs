@@ -61,7 +61,7 @@ struct March {
     window: Range<usize>,
     /// States before the first step.
     before: Vec<f64>,
-    /// Whether windows begin with the states as they are, and whether this one did.
+    /// Lets windows begin with the states as they are; tells whether this one did.
     follows: bool,
     followed: bool,
     /// Largest defect before the last step, and steps that may be taken yet.
@@ -91,7 +91,7 @@ pub(super) struct Restoration {
     c: Vec<f64>,
     jacobian: Vec<f64>,
     d: Vec<f64>,
-    /// What rounding may leave of the defects, by row.
+    /// Bounds what rounding leaves of the defects, by row.
     rounding: Vec<f64>,
     kept: Vec<f64>,
     matrix: Vec<f64>,
@@ -243,11 +243,7 @@ impl Restoration {
             if program.constraints(xi, &mut self.c).is_err() {
                 return false;
             }
-            let mut size = self.largest_defect(program, 0..self.blocks.len(), xi);
-            if size > 1.0 && size >= 0.5 * last {
-                self.measure_rounding(0..self.blocks.len(), xi);
-                size = self.largest_defect(program, 0..self.blocks.len(), xi);
-            }
+            let size = self.largest_defect(program, 0..self.blocks.len(), xi, last);
             if size <= 1.0 {
                 return true;
             }
@@ -270,7 +266,8 @@ impl Restoration {
     }
 
     /// Window after window of blocks of each chain, each from the end of the one before: as many at once as Newton's method
-    /// contracts for, from the states as they are or from such as do not move. All chains advance together, since an evaluation is one of all of them.
+    /// contracts for, from the states as they are or from such as do not move. All chains advance together, since an
+    /// evaluation is one of all of them.
     fn in_turn(&mut self, program: &Program<'_>, xi: &mut [f64]) -> bool {
         let mut marches = self.marches();
         if marches.iter().any(|m| m.blocks.len() > MOST_BLOCKS) {
@@ -356,11 +353,7 @@ impl Restoration {
             return Todo::Nothing;
         }
         let width = march.window.len();
-        let mut size = self.largest_defect(program, march.window.clone(), xi);
-        if size > 1.0 && march.steps && size >= 0.5 * march.last {
-            self.measure_rounding(march.window.clone(), xi);
-            size = self.largest_defect(program, march.window.clone(), xi);
-        }
+        let size = self.largest_defect(program, march.window.clone(), xi, march.last);
         if size <= 1.0 {
             // States that led nowhere say nothing of what comes next.
             march.follows &= march.followed;
@@ -433,8 +426,17 @@ impl Restoration {
         }
     }
 
-    fn largest_defect(&self, program: &Program<'_>, blocks: Range<usize>, xi: &[f64]) -> f64 {
-        largest(self.blocks[blocks].iter().map(|b| self.defect_of(program, b, xi)))
+    /// The largest defect of some blocks. Where a step has not made it less than half of the `last` one, rounding may be all
+    /// that is left, and is measured.
+    fn largest_defect(&mut self, program: &Program<'_>, blocks: Range<usize>, xi: &[f64], last: f64) -> f64 {
+        let of =
+            |this: &Self| largest(this.blocks[blocks.clone()].iter().map(|b| this.defect_of(program, b, xi)));
+        let size = of(self);
+        if size <= 1.0 || size < 0.5 * last || last == f64::INFINITY {
+            return size;
+        }
+        self.measure_rounding(blocks.clone(), xi);
+        of(self)
     }
 
     /// The largest defect of a block, at most 1 where it counts as none, infinite where it is not a number.

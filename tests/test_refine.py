@@ -285,3 +285,12 @@ def test_refinement_of_the_trapezoid_on_hfb320() -> None:
     assert report.change("Cmq")[0] == pytest.approx(1.29, abs=0.03)
     assert report.change("Cmq")[1] == pytest.approx(0.57, abs=0.03)
     assert all(abs(off(fit, name)) < 1e-4 for name in mesh_refinement.SHOWN)
+
+
+def test_a_mesh_on_which_a_fit_nearby_lies_is_not_divided_for_want_of_iterations() -> None:
+    near = ph.estimate(oscillator(), SMOOTH)
+    other = record(3.0 * np.sin(T) + np.cos(2.3 * T))
+    short = ph.Newton(max_iterations=1)
+    fit = ph.estimate(oscillator(), other, start=near, solver=short, transcription=Collocation(refine=True))
+    assert fit.status == "iteration limit" and not fit.feasible
+    assert fit.records[0].mesh_t.size == near.records[0].mesh_t.size

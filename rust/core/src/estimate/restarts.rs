@@ -115,7 +115,7 @@ impl Estimation<'_> {
     }
 
     /// Whether it goes on from where a fit ended.
-    fn goes_on(&self) -> bool {
+    pub(super) fn goes_on(&self) -> bool {
         self.earlier.as_ref().is_some_and(|e| e.near)
     }
 

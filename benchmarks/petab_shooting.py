@@ -61,6 +61,8 @@ class SingleShooting:
                     raise TooLong
                 return self.compiled.dynamics(p, np.concatenate([[t], held, x])[:, None]).ravel()
 
+            if not np.isfinite(states[-1]).all():
+                raise TooLong
             run = solve_ivp(slopes, (e.t[a], e.t[b]), states[-1], "LSODA", e.t[a + 1 : b + 1], rtol=1e-8, atol=1e-10)
             if not run.success:
                 raise TooLong

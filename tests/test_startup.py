@@ -15,7 +15,7 @@ from phugoid.cli.app import COMMANDS
 
 HEAVY = (
     "scipy", "matplotlib", "pandas", "rich", "sympy", "h5py", "pyarrow", "polars", "xarray", "pyulog", "pymavlink",
-    "control", "fmpy", "jinja2",
+    "control", "fmpy", "jinja2", "threadpoolctl",
 )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from ..data.experiment import Experiment
 from ..errors import DataError
 from ..fit_result import ENDED_WELL, FitResult
 from ..sensitivities.tangents import collocated
-from ..solvers.limits import Deadline, check_time, interrupts, limited
+from ..solvers.limits import Deadline, check_time, interrupts, limited, one_blas_thread
 from .arguments import candidates_given, check_fit, check_size, freed, validation_given
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
@@ -145,7 +145,7 @@ def diagnose(
         base, others, fit = segments.base, segments.validation, segments.base.fit
     listed = candidates_given(fit, candidates, base)
     unfitted = ""
-    with _shown(progress) as watch:
+    with _shown(progress) as watch, one_blas_thread():
 
         def step(text: str) -> None:
             check_time()

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..residual_noise.whitening import Filter, MultivariateWhitening, Whitening
+from ..solvers.limits import check_time
 from .linearised import Linearised
 
 __all__ = ["Marginal", "RandomEffects", "Whitened", "at_knots", "joint_whitening", "own_whitening"]
@@ -295,6 +296,7 @@ class RandomEffects:
         unit = 1.0 / np.sqrt(0.5 * np.array([max(self.k, 1), *self._counts]))
 
         def function(z: _Array) -> tuple[float, _Array]:
+            check_time()
             at = self._evaluated(best + unit * z)
             return at.value, at.gradient * unit
 

@@ -15,7 +15,7 @@ from typing import Any
 from ..checks import part, whole
 from ..errors import OptionError
 
-__all__ = ["Deadline", "TimeUp", "check_limits", "check_time", "interrupts", "limited", "time_is_up"]
+__all__ = ["Deadline", "TimeUp", "check_limits", "check_time", "interrupts", "limited", "one_blas_thread", "time_is_up"]
 
 # Number of presses that are counted; one more raises KeyboardInterrupt, for a user who needs no result at all.
 _COUNTED = 2
@@ -48,6 +48,20 @@ def interrupts() -> Iterator[Callable[[], int]]:
         yield pressed
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let the linear algebra of numpy and scipy use one thread within the context, in the whole process.
+
+    For matrices of some hundred rows more threads gain nothing, and where the processors are shared they wait for each
+    other without end: a search of 7 s took more than 100 s of processor time on a busy machine.
+    """
+    import scipy.linalg  # noqa: F401  # it brings a BLAS of its own, which is to be there
+    from threadpoolctl import threadpool_limits  # not at import: it takes its time
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
 
 
 # The completion of a result may take so much longer, in s and as a part of the limit.

@@ -78,9 +78,8 @@ impl Estimation<'_> {
         let mut fit = plain.solve_on_mesh(watch)?;
         let first = fit.parameters.clone();
         for _ in 0..DIVISIONS {
-            // Where a fit nearby lies on this mesh, more iterations are what is missing, not segments.
-            let too_few = self.goes_on() && fit.status != Status::Infeasible;
-            if fit.feasible || fit.status.was_stopped() || too_few {
+            // A mesh on which a fit nearby lies is not too coarse for the equations.
+            if fit.feasible || fit.status.was_stopped() || self.goes_on() {
                 break;
             }
             // On too coarse a mesh the equations may have no solution.

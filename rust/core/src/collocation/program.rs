@@ -6,7 +6,7 @@ use super::Collocation;
 use crate::nlp::{Chains, Named, Nlp, NotFinite, Reach, Separable, Structure};
 use crate::problem::boundary::Boundary;
 use crate::problem::disjoint::Disjoint;
-use crate::problem::layout::{Layout, Place};
+use crate::problem::layout::{ConstraintPlace, Layout, Place};
 use crate::problem::objective::add;
 use crate::problem::posed::Posed;
 use crate::problem::transcribed::Transcribed;
@@ -134,7 +134,7 @@ impl Named for Collocation {
         if let Some(boundary) = self.boundary.as_ref().filter(|_| i >= self.layout.m()) {
             return boundary.name(i, &self.posed.experiments);
         }
-        let (e, row, state) = self.layout.constraint(i);
+        let ConstraintPlace { experiment: e, row, state } = self.layout.constraint(i);
         let t = &self.meshes[e].times;
         let name = &self.posed.state_names[state];
         format!("defect of {name} ending at t = {} s of '{}'", t[row + 1], self.posed.experiments[e].name)

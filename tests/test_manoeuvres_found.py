@@ -31,9 +31,8 @@ TRUTH = [  # input, kind, start, end
 
 
 @cache
-def log(sigma: float = 0.0, seed: int = 0) -> ph.Experiment:
-    """Elevator and aileron with one manoeuvre of each kind, and a rate that follows the elevator."""
-    rng = np.random.default_rng(seed)
+def flown() -> tuple[np.ndarray, np.ndarray]:
+    """Elevator and aileron with one manoeuvre of each kind."""
     de = design.doublet(T, 0.05, width=0.5, start=20) + design.three_two_one_one(T, -0.04, width=0.6, start=40)
     de += design.pulse(T, 0.05, width=1, start=60) + design.sweep(T, 0.04, band=(0.1, 2.0), start=80, duration=60)
     de += design.step(T, 0.03, start=190) - design.step(T, 0.03, start=240)
@@ -42,6 +41,13 @@ def log(sigma: float = 0.0, seed: int = 0) -> ph.Experiment:
     de[inside] += design.multisine(part, 0.03, band=(0.1, 2.0))
     da[inside] += design.multisine(part, 0.05, band=(0.15, 2.0))
     da[16500:17000] += 0.03 * np.sin(2 * np.pi * part[:500])
+    return de, da
+
+
+@cache
+def log(sigma: float = 0.0, seed: int = 0) -> ph.Experiment:
+    """The controls with noise, and a rate that follows the elevator."""
+    rng, (de, da) = np.random.default_rng(seed), flown()
     q = lfilter([0.05], [1, -0.95], de) + 0.001 * rng.standard_normal(T.size)
     noisy = {"de": de + sigma * rng.standard_normal(T.size), "da": da + sigma * rng.standard_normal(T.size)}
     return ph.Experiment(T, noisy, {"q": q}, name="log", units={"de": "rad"})

@@ -12,7 +12,7 @@ from phugoid.discrepancy.search.refit import Refit
 from phugoid.discrepancy.search.search import Search
 from phugoid.sensitivities.tangents import collocated
 
-T = np.arange(0.0, 40.0, 0.04)
+T = np.arange(0.0, 40.0, 0.08)
 TERM, DRIFT = "v':x^3", "k:drift"
 
 

@@ -5,6 +5,7 @@ The records are made by tests/hidden, which knows nothing of how they are looked
 
 from __future__ import annotations
 
+import functools
 import html
 
 import numpy as np
@@ -21,6 +22,7 @@ from phugoid.sensitivities.trajectory import Place
 from phugoid.sensitivities.whitened import RandomEffects, at_knots
 
 
+@functools.cache
 def diagnosed(what: str, system: str, seed: int) -> tuple[ph.Diagnosis, tuple[str, ...], dict[str, float]]:
     s = situation(what, system, seed)
     return ph.diagnose(ph.estimate(s.model, s.data), validation=s.validation), s.truth, s.sizes
@@ -155,7 +157,7 @@ def test_an_event_is_told_with_its_time() -> None:
 
 def test_the_intensity_of_gusts_is_that_of_the_filter_error_method() -> None:
     s = situation("gust", "servo", 502)
-    d = ph.diagnose(ph.estimate(s.model, s.data), validation=s.validation)
+    d, _, _ = diagnosed("gust", "servo", 502)
     f = d.findings[-1]
     assert "rate':noise" in (f.cause, *f.aliases)
     filtered = ph.estimate(s.model, s.data, transcription=ph.FilterError("rate"))

@@ -1,9 +1,11 @@
 """Make the links and pictures of the README absolute, as PyPI needs them: it shows neither relative pictures nor files.
+And put the addresses of the project into its metadata.
 
     python tools/pypi_readme.py https://HOST/OWNER/PROJECT REVISION
 
-changes README.md in place. The workflow *Wheels* runs it with its own repository and revision before it builds; nobody
-else has to, and the change is not for committing. A picture becomes .../raw/REVISION/..., a file .../blob/REVISION/...
+changes README.md and pyproject.toml in place. The workflow *Wheels* runs it with its own repository and revision before
+it builds; nobody else has to, and the change is not for committing. A picture becomes .../raw/REVISION/..., a file
+.../blob/REVISION/...
 """
 
 from __future__ import annotations
@@ -35,13 +37,38 @@ def absolute(text: str, repository: str, revision: str) -> str:
     return "".join(piece if piece.startswith("```") else _LINK.sub(changed, piece) for piece in pieces)
 
 
+def with_addresses(metadata: str, repository: str, revision: str) -> str:
+    """Return the text of pyproject.toml with the addresses of the project, in place of those that it has.
+
+    >>> print(with_addresses('[project]\\nname = "phugoid"\\n', "https://host/me/phugoid/", "v1"))
+    [project]
+    name = "phugoid"
+    <BLANKLINE>
+    [project.urls]
+    Repository = "https://host/me/phugoid"
+    Changelog = "https://host/me/phugoid/blob/v1/CHANGELOG.md"
+    Issues = "https://host/me/phugoid/issues"
+    <BLANKLINE>
+    """
+    address = repository.rstrip("/")
+    urls = {
+        "Repository": address,
+        "Changelog": f"{address}/blob/{revision}/CHANGELOG.md",
+        "Issues": f"{address}/issues",
+    }
+    others = re.sub(r"^\[project\.urls\]\n(?:[^\[\n].*\n|\n)*", "", metadata, flags=re.M)
+    lines = "".join(f'{name} = "{url}"\n' for name, url in urls.items())
+    return f"{others.rstrip()}\n\n[project.urls]\n{lines}"
+
+
 def main(arguments: list[str]) -> int:
-    """Change README.md, or say how this is called."""
+    """Change README.md and pyproject.toml, or say how this is called."""
     if len(arguments) != 2 or not re.match(r"https?://[^/]+/.+", arguments[0]):
         print(__doc__, file=sys.stderr)
         return 2
-    page = ROOT / "README.md"
-    page.write_text(absolute(page.read_text(encoding="utf-8"), *arguments), encoding="utf-8")
+    for name, change in (("README.md", absolute), ("pyproject.toml", with_addresses)):
+        file = ROOT / name
+        file.write_text(change(file.read_text(encoding="utf-8"), *arguments), encoding="utf-8")
     return 0
 
 

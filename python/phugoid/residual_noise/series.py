@@ -214,12 +214,11 @@ def same_rate(series: Sequence[Series]) -> tuple[list[Series], list[Series]]:
 
 def _outliers(r: _Array) -> NDArray[np.bool_]:
     """Mark samples (n,) that are far off the median of their neighbours, and alone: many in a row are a misfit."""
-    from scipy.ndimage import median_filter
-
     none = np.zeros(r.size, dtype=bool)
     if r.size < 2 * _ALONE:
         return none
-    off = np.abs(r - median_filter(r, 5, mode="nearest"))
+    neighbours = np.lib.stride_tricks.sliding_window_view(np.pad(r, 2, "edge"), 5)
+    off = np.abs(r - np.median(neighbours, axis=1))
     scale = float(np.median(off[off > 0.0])) / 0.6745 if off.any() else 0.0
     if float(np.mean(off > 0.0)) < 0.5:  # quantised: the median says nothing of the scatter
         return none

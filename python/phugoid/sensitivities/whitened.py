@@ -168,8 +168,9 @@ def joint_whitening(own: Whitened) -> Whitened | None:
 _RIDGE = 1e-10
 # The same for random coefficients, which have a prior already.
 _ROUNDING = 1e-13
-# Steps before the search is left to L-BFGS-B, and twice the log-likelihood below which its steps are no gain.
-_STEPS, _EQUAL = 4, 1e-3
+# Steps before those of Newton, and how many of those there are; twice the log-likelihood below which these are no gain,
+# and how far the logarithm of a variance goes at once.
+_STEPS, _NEWTON_STEPS, _EQUAL, _LONGEST = 2, 30, 2e-4, 3.0
 # Part of the samples that is left beside coefficients, at least.
 _LEFT = 1e-3
 # Variances are sought within these factors of where they start.
@@ -203,16 +204,18 @@ class Marginal:
 class _Evaluated(NamedTuple):
     """The likelihood at logarithms of the variances.
 
-    value     minus twice its logarithm, maximised over b.
-    gradient  of that.
-    step      of MacKay's fixed-point iteration.
-    solution  (e, b), the mean of the independent coefficients and the parameters.
-    factor    Cholesky factor, lower, of their normal equations.
-    unknowns  the effective number of coefficients.
+    value        minus twice its logarithm, maximised over b.
+    gradient     of that.
+    information  average information, for its Hessian.
+    step         of MacKay's fixed-point iteration.
+    solution     (e, b), the mean of the independent coefficients and the parameters.
+    factor       Cholesky factor, lower, of their normal equations.
+    unknowns     the effective number of coefficients.
     """
 
     value: float
     gradient: _Array
+    information: _Array
     step: _Array
     solution: _Array
     factor: _Array
@@ -267,7 +270,8 @@ class RandomEffects:
 
     def at(self, variance: float, noise: _Array) -> Marginal:
         """Return the likelihood at given variances, maximised over b only."""
-        return self._marginal(np.log(np.array([variance, *(np.asarray(noise) / self._units**2)])))
+        x = np.log(np.array([variance, *(np.asarray(noise) / self._units**2)]))
+        return self._marginal(x, self._evaluated(x))
 
     def maximised(self, noise: _Array, variance: float | None = None) -> Marginal:
         """Return the likelihood, maximised over the variances too.
@@ -275,58 +279,60 @@ class RandomEffects:
         The search starts from a variance of the noise for each output, and from one of the coefficients where that is
         nearly known.
 
-        First by the steps of MacKay (1992, eq. 5), which go far, then by L-BFGS-B, which settles them.
+        First by the steps of MacKay (1992, eq. 5), which go far, then by Newton's with the average of the observed and
+        the expected information (Gilmour, Thompson and Cullis 1995), which settle them.
         """
-        from scipy.optimize import minimize  # not at import: it takes its time
-
         noise = np.maximum(np.asarray(noise) / self._units**2, _TINY)
         power = float(np.trace(self._grams[:, : self.k, : self.k], axis1=1, axis2=2) @ (1.0 / noise))
         first = variance or float(self._squares @ (1.0 / noise)) / max(power, _TINY)
         x = np.log(np.array([max(first, _TINY), *noise]))
         spread = np.log(_RANGE)
         low, high = x - spread, x + spread
-        best, value = x, np.inf
+        best, at = x, self._evaluated(x)
         for _ in range(_STEPS):
+            x = np.clip(best + at.step, low, high)
             found = self._evaluated(x)
-            if not found.value < value:
+            if not found.value < at.value:
                 break
-            best, value = x, found.value
-            x = np.clip(x + found.step, low, high)
-        # n samples tell the logarithm of their variance to sqrt(2 / n): in these units the curvatures are alike.
-        unit = 1.0 / np.sqrt(0.5 * np.array([max(self.k, 1), *self._counts]))
-
-        def function(z: _Array) -> tuple[float, _Array]:
+            best, at = x, found
+        for _ in range(_NEWTON_STEPS):
             check_time()
-            at = self._evaluated(best + unit * z)
-            return at.value, at.gradient * unit
+            step = np.clip(best + self._newton_step(at), low, high) - best
+            if not -0.5 * float(at.gradient @ step) > _EQUAL:
+                break
+            for part in (1.0, 0.3, 0.1):
+                found = self._evaluated(best + part * step)
+                if found.value < at.value:
+                    break
+            else:
+                break
+            best, at = best + part * step, found
+        return self._marginal(best, at)
 
-        settled = minimize(
-            function,
-            np.zeros(best.size),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=list(zip((low - best) / unit, (high - best) / unit, strict=True)),
-            options={"maxiter": 60, "ftol": _EQUAL / max(abs(value), 1.0), "gtol": 0.0},
-        )
-        return self._marginal(best + unit * settled.x)
+    def _newton_step(self, at: _Evaluated) -> _Array:
+        """Return the step to where the gradient vanishes, no longer than a variance can be extrapolated."""
+        size = np.maximum(np.diag(at.information), _TINY)
+        damped = at.information + np.diag(_RIDGE * size)
+        step = np.linalg.solve(damped, -at.gradient)
+        return np.asarray(step / max(1.0, float(np.abs(step).max()) / _LONGEST))
 
-    def _marginal(self, x: _Array) -> Marginal:
-        from scipy.linalg import cho_solve
+    def _marginal(self, x: _Array, at: _Evaluated) -> Marginal:
+        """Return the likelihood with the coefficients."""
+        from scipy.linalg import solve_triangular
 
-        at = self._evaluated(x)
         noise = np.exp(x[1:]) * self._units**2
         # In units of the noise as fitted the density is another.
         log_likelihood = -0.5 * at.value + self._constant
-        covariance = self._root @ cho_solve((at.factor, True), self._root.T)
+        half = solve_triangular(at.factor, self._root[: self.k].T, lower=True, check_finite=False)
         mean = self._root @ at.solution
-        deviations = np.sqrt(np.maximum(np.diag(covariance)[: self.k], 0.0))
+        deviations = np.sqrt(np.einsum("ij,ij->j", half, half))
         left = self.linear.residuals - self._effects @ mean
         variance = float(np.exp(x[0]))
         return Marginal(log_likelihood, variance, noise, mean[: self.k], deviations, left, at.unknowns)
 
     def _evaluated(self, x: _Array) -> _Evaluated:
         """Evaluate the likelihood at logarithms of the variances."""
-        from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
+        from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
 
         s2, noise, k = float(np.exp(x[0])), np.exp(x[1:]), self.k
         gram = np.tensordot(1.0 / noise, self._grams, axes=1)
@@ -335,26 +341,39 @@ class RandomEffects:
         diagonal = np.full(size.size, _RIDGE * max(float(size[k:].max(initial=0.0)), _TINY))
         diagonal[:k] = 1.0 / s2 + _ROUNDING * float(size[:k].max(initial=0.0))
         gram[np.diag_indices_from(gram)] += diagonal
-        # Coefficients come first, so that their own factor is the first part of the whole one.
-        factor, failed = dpotrf(gram, lower=1)
+        # Coefficients come first, so that their own factor is the first part of the whole one. Symmetric matrices are
+        # handed over transposed, as LAPACK stores them.
+        factor, failed = dpotrf(gram.T, lower=1, overwrite_a=1)
         if failed:
             raise np.linalg.LinAlgError("the normal equations of the random coefficients are not positive definite")
         solution, _ = dpotrs(factor, right, lower=1)
-        inverse, _ = dpotri(factor[:k, :k], lower=1)
-        covariance = np.tril(inverse) + np.tril(inverse, -1).T
+        inverse, _ = dpotri(factor[:k, :k], lower=1)  # its lower triangle
         log_det = 2.0 * float(np.log(np.diag(factor)[:k]).sum()) + k * float(x[0])
         value = float(self._counts @ x[1:]) + log_det + float(self._squares @ (1.0 / noise)) - float(right @ solution)
-        d = solution[:k]
+        d, b = solution[:k], solution[k:]
+        variances = np.diag(inverse)
         # Squares that are left, and as many of the samples and coefficients as they tell of, by part.
         squares, taken = np.empty(x.size), np.empty(x.size)
-        squares[0], taken[0] = float(d @ d) / s2, float(np.trace(covariance)) / s2
+        squares[0], taken[0] = float(d @ d) / s2, float(variances.sum()) / s2
+        # What P of Gilmour, Thompson and Cullis makes of the parts' working variates, which are the coefficients' share
+        # of the outputs and the residuals of each output: squares in the metric of the noise, and their projections.
+        metric, projected = np.zeros((x.size, x.size)), np.zeros((size.size, x.size))
         for i, (g, c, n) in enumerate(zip(self._grams, self._with_r, noise, strict=True), 1):
-            squares[i] = (self._squares[i - 1] - 2.0 * float(solution @ c) + float(solution @ (g @ solution))) / n
-            taken[i] = float(np.vdot(covariance, g[:k, :k])) / n
+            by_solution = g @ solution
+            squares[i] = (self._squares[i - 1] - 2.0 * float(solution @ c) + float(solution @ by_solution)) / n
+            of_coefficients = g[:k, :k].T
+            both = 2.0 * float(np.einsum("ij,ij->", inverse, of_coefficients))
+            taken[i] = (both - float(variances @ np.diag(of_coefficients))) / n
+            projected[:, 0] += (by_solution - g[:, k:] @ b) / n
+            projected[:, i] = (c - by_solution) / n
+            metric[i, i] = squares[i]
+        metric[0] = metric[:, 0] = d @ projected[:k]
+        half, _ = dtrtrs(factor, projected, lower=1)
         counts = np.array([k, *self._counts])
         gradient = counts - squares - taken
         step = np.log(np.maximum(squares, _TINY) / np.maximum(counts - taken, _LEFT * counts))
-        return _Evaluated(value, gradient, step, solution, factor, k - float(taken[0]))
+        information = metric - half.T @ half
+        return _Evaluated(value, gradient, information, step, solution, factor, k - float(taken[0]))
 
 
 def at_knots(times: _Array, knots: Sequence[float] | _Array) -> _Array:

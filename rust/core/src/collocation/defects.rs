@@ -16,14 +16,30 @@ use crate::tape::{Function, LANE_MULTIPLE, Sinks, Tape, Values, Workspace};
 /// Most segments in a chunk (order 2), and so the length of a temporary over segments.
 const SEGMENTS: usize = crate::tape::BLOCK;
 
+/// An entry of ∂f/∂x, and its number among those of the Jacobian of f, where it is one.
+#[derive(Clone, Copy, Debug)]
+struct StateEntry {
+    row: usize,
+    column: usize,
+    entry: Option<usize>,
+}
+
+/// An entry of ∂f/∂θ, and its number among those of the Jacobian of f.
+#[derive(Clone, Copy, Debug)]
+struct ParameterEntry {
+    row: usize,
+    parameter: usize,
+    entry: usize,
+}
+
 /// f compiled, with the order of the entries that it gives rise to.
 #[derive(Clone, Debug)]
 pub(super) struct Dynamics {
     pub(super) f: Arc<Function>,
     /// Entries of ∂f/∂x, the diagonal always among them (it carries x_{k+1} − x_k).
-    state_entries: Vec<(usize, usize, Option<usize>)>,
+    state_entries: Vec<StateEntry>,
     /// Entries of ∂f/∂θ.
-    parameter_entries: Vec<(usize, usize, usize)>,
+    parameter_entries: Vec<ParameterEntry>,
 }
 
 /// A chunk with all that evaluating it needs.
@@ -45,13 +61,13 @@ impl Dynamics {
             for (k, (r, c)) in f.jacobian_pattern.iter().enumerate().filter(|e| e.1.0 == row) {
                 if c < n_x {
                     has_diagonal |= c == r;
-                    state_entries.push((r, c, Some(k)));
+                    state_entries.push(StateEntry { row: r, column: c, entry: Some(k) });
                 } else {
-                    parameter_entries.push((r, c - n_x, k));
+                    parameter_entries.push(ParameterEntry { row: r, parameter: c - n_x, entry: k });
                 }
             }
             if !has_diagonal {
-                state_entries.push((row, row, None));
+                state_entries.push(StateEntry { row, column: row, entry: None });
             }
         }
         Dynamics { f, state_entries, parameter_entries }
@@ -68,7 +84,7 @@ impl Dynamics {
         let (m, n) = (chunk.rule.order(), chunk.segments());
         for k in 0..m - 1 {
             let row = |s: usize, r: usize| (chunk.row + s * (m - 1) + k) * layout.n_x + r;
-            for &(r, c, entry) in &self.state_entries {
+            for &StateEntry { row: r, column: c, entry } in &self.state_entries {
                 for j in nodes_of(entry, k, m) {
                     for s in 0..n {
                         let point = chunk.points[chunk.lane(j) + s] as usize;
@@ -76,7 +92,7 @@ impl Dynamics {
                     }
                 }
             }
-            for &(r, p, _) in &self.parameter_entries {
+            for &ParameterEntry { row: r, parameter: p, .. } in &self.parameter_entries {
                 (0..n).for_each(|s| out.push(row(s, r), map[p]));
             }
         }
@@ -84,12 +100,12 @@ impl Dynamics {
             let point = |j: usize| chunk.points[chunk.lane(j) + tie.segment] as usize;
             let row = |r: usize| tie.row * layout.n_x + r;
             (0..layout.n_x).for_each(|r| out.push(row(r), layout.state(tie.point) + r));
-            for &(r, c, entry) in &self.state_entries {
+            for &StateEntry { row: r, column: c, entry } in &self.state_entries {
                 for j in tie.nodes_of(entry, m) {
                     out.push(row(r), layout.state(point(j)) + c);
                 }
             }
-            for &(r, p, _) in &self.parameter_entries {
+            for &ParameterEntry { row: r, parameter: p, .. } in &self.parameter_entries {
                 out.push(row(r), map[p]);
             }
         }
@@ -99,7 +115,7 @@ impl Dynamics {
     pub(super) fn jacobian_entries(&self, chunk: &Chunk) -> usize {
         let (m, parameters) = (chunk.rule.order(), self.parameter_entries.len());
         let nodes = |of: &dyn Fn(Option<usize>) -> usize| -> usize {
-            self.state_entries.iter().map(|&(_, _, entry)| of(entry)).sum()
+            self.state_entries.iter().map(|of_state| of(of_state.entry)).sum()
         };
         let defects = (0..m - 1).map(|k| nodes(&|entry| nodes_of(entry, k, m).len()) + parameters);
         let ties = chunk
@@ -220,13 +236,13 @@ impl Job<'_> {
         let mut put = |v: f64| *out.next().expect("as many entries as in the structure") = v;
         (0..self.layout.n_x).for_each(|_| put(1.0));
         let lane = |j: usize| chunk.lane(j) + tie.segment;
-        for &(r, c, entry) in &self.dynamics.state_entries {
+        for &StateEntry { row: r, column: c, entry } in &self.dynamics.state_entries {
             for j in tie.nodes_of(entry, chunk.rule.order()) {
                 let step = f64::from(r == c && j == tie.node);
                 put(-step - entry.map_or(0.0, |entry| tie.weights[j] * value(entry).at(lane(j))));
             }
         }
-        for &(_, _, entry) in &self.dynamics.parameter_entries {
+        for &ParameterEntry { entry, .. } in &self.dynamics.parameter_entries {
             put((0..chunk.rule.order()).map(|j| -tie.weights[j] * value(entry).at(lane(j))).sum());
         }
     }
@@ -307,7 +323,7 @@ kernel! {
         let mut runs = out.chunks_exact_mut(n);
         let mut count = 0;
         for k in 0..m - 1 {
-            for &(r, c, entry) in &job.dynamics.state_entries {
+            for &StateEntry { row: r, column: c, entry } in &job.dynamics.state_entries {
                 for j in nodes_of(entry, k, m) {
                     let run = runs.next().expect("as many runs as in the structure");
                     count += 1;
@@ -321,7 +337,7 @@ kernel! {
                     }
                 }
             }
-            for &(_, _, entry) in &job.dynamics.parameter_entries {
+            for &ParameterEntry { entry, .. } in &job.dynamics.parameter_entries {
                 let run = runs.next().expect("as many runs as in the structure");
                 count += 1;
                 write_entries(run, &chunk.h, 0.0, chunk.terms(k), value(entry));

@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, Dyn, LU};
 use crate::collocation::Collocation;
 use crate::interrupt::{Interrupt, current};
 use crate::nlp::{Nlp, NotFinite};
+use crate::problem::layout::ConstraintPlace;
 use crate::simd::kernel;
 use crate::solver::state_units;
 use crate::threads::Threads;
@@ -27,14 +28,21 @@ pub(super) type Lanes = [f64; AT_ONCE];
 /// The points of samples between mesh points, and derivatives by the states at all points of the segment.
 type Between = Vec<(usize, DMatrix<f64>)>;
 
+/// The derivative of a constraint by a parameter.
+struct ByParameter {
+    /// Row within the segment, or among the samples between mesh points.
+    row: usize,
+    parameter: usize,
+    value: f64,
+}
+
 /// One segment: the constraints of its points, and of the samples between them.
 struct Step {
     /// Factors of the derivatives by the states at all its points but the first.
     own: LU<f64, Dyn, Dyn>,
     /// Derivatives by the states at its first point.
     first: DMatrix<f64>,
-    /// Derivatives by the parameters: row, variable, value.
-    parameters: Vec<(usize, usize, f64)>,
+    parameters: Vec<ByParameter>,
     /// For each sample between: its point, and derivatives by the states at all points of the segment.
     between: Vec<(usize, DMatrix<f64>)>,
     /// Its first point within the experiment.
@@ -50,7 +58,7 @@ pub struct Forward<P> {
     steps: Vec<Vec<Step>>,
     /// Derivatives of the constraints of samples between mesh points by parameters, as in a step, one list an
     /// experiment.
-    of_ties: Vec<Vec<(usize, usize, f64)>>,
+    of_ties: Vec<Vec<ByParameter>>,
 }
 
 impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
@@ -69,8 +77,8 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
         let n = layout.n_x;
         let mut blocks: Vec<Vec<[DMatrix<f64>; 2]>> = Vec::new();
         let mut between: Vec<Vec<Between>> = Vec::new();
-        let mut parameters: Vec<Vec<Vec<(usize, usize, f64)>>> = Vec::new();
-        let mut of_ties: Vec<Vec<(usize, usize, f64)>> = vec![Vec::new(); problem.meshes.len()];
+        let mut parameters: Vec<Vec<Vec<ByParameter>>> = Vec::new();
+        let mut of_ties: Vec<Vec<ByParameter>> = problem.meshes.iter().map(|_| Vec::new()).collect();
         for mesh in &problem.meshes {
             let k = mesh.rule.order() - 1;
             let empty = || [DMatrix::zeros(k * n, n), DMatrix::zeros(k * n, k * n)];
@@ -80,7 +88,7 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
                 ties[tie.segment].push((tie.point, DMatrix::zeros(n, (k + 1) * n)));
             }
             between.push(ties);
-            parameters.push(vec![Vec::new(); mesh.segments.len()]);
+            parameters.push(mesh.segments.iter().map(|_| Vec::new()).collect());
         }
         let structure = problem.jacobian_structure();
         for ((&r, &c), v) in structure.rows.iter().zip(&structure.columns).zip(&values) {
@@ -88,15 +96,19 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
             if r >= layout.m() {
                 continue;
             }
-            let (e, row, state) = layout.constraint(r);
+            let ConstraintPlace { experiment: e, row, state } = layout.constraint(r);
             let mesh = &problem.meshes[e];
             if c < layout.n_theta {
                 let k = mesh.rule.order() - 1;
                 if row + 1 < mesh.n_mesh {
-                    parameters[e][row / k].push((row % k * n + state, c, *v));
+                    parameters[e][row / k].push(ByParameter {
+                        row: row % k * n + state,
+                        parameter: c,
+                        value: *v,
+                    });
                 } else {
                     let tie = row + 1 - mesh.n_mesh;
-                    of_ties[e].push((tie * n + state, c, *v));
+                    of_ties[e].push(ByParameter { row: tie * n + state, parameter: c, value: *v });
                 }
                 continue;
             }
@@ -261,16 +273,16 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
             |e: usize, r: usize, c: usize| f64::from(variables[c] == layout.state(layout.first_point[e]) + r);
         let column = |v: usize| variables.iter().position(|&i| i == v && v < theta);
         let force = |e: usize, _: usize, step: usize, y: &mut DMatrix<f64>| {
-            for &(row, variable, v) in &self.steps[e][step].parameters {
-                if let Some(c) = column(variable) {
-                    y[(row, c)] -= v;
+            for by in &self.steps[e][step].parameters {
+                if let Some(c) = column(by.parameter) {
+                    y[(by.row, c)] -= by.value;
                 }
             }
         };
         let tied = |e: usize, _: usize, tie: usize, x: &mut DMatrix<f64>| {
-            for &(row, variable, v) in self.of_ties[e].iter().filter(|t| t.0 / n == tie) {
-                if let Some(c) = column(variable) {
-                    x[(row % n, c)] -= v;
+            for by in self.of_ties[e].iter().filter(|by| by.row / n == tie) {
+                if let Some(c) = column(by.parameter) {
+                    x[(by.row % n, c)] -= by.value;
                 }
             }
         };

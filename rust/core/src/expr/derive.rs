@@ -3,6 +3,7 @@
 use rustc_hash::FxHashMap;
 
 use super::graph::{Graph, Id, Item};
+use super::partials::partials;
 
 /// Structurally nonzero entries of a Jacobian or of the lower triangle of a Hessian.
 #[derive(Clone, Debug, Default)]
@@ -37,7 +38,7 @@ impl Graph {
             Item::Constant(_) | Item::Symbol(_) => Vec::new(),
             Item::Apply(op, _) => {
                 let args = self.args(id);
-                let partials = (op.entry().partials)(self, &args, id);
+                let partials = partials(op, self, &args, id);
                 args.into_iter().zip(partials).collect()
             }
             Item::Lookup(k, _) => {

@@ -9,6 +9,7 @@ mod display;
 pub(crate) mod graph;
 mod operators;
 pub(crate) mod ops;
+mod partials;
 #[cfg(feature = "serde")]
 pub(crate) mod pool;
 

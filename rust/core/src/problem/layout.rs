@@ -19,6 +19,17 @@ pub enum Place {
     },
 }
 
+/// The meaning of a constraint on the states.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ConstraintPlace {
+    /// Experiment.
+    pub experiment: usize,
+    /// Vector constraint within the experiment.
+    pub row: usize,
+    /// State.
+    pub state: usize,
+}
+
 /// Order of variables: ξ = [θ, x at the points of experiment 1, of experiment 2, ...]
 /// (Eq. collocation_decision), states of a point together. Constraints: one vector of n_x rows for
 /// every point but the first of each experiment, in the order of segments, then of the samples
@@ -116,11 +127,11 @@ impl Layout {
         Place::State { experiment, point: point - self.first_point[experiment], state }
     }
 
-    /// Experiment, vector constraint within it, and state of a constraint.
-    pub fn constraint(&self, i: usize) -> (usize, usize, usize) {
+    /// Returns the meaning of a constraint.
+    pub fn constraint(&self, i: usize) -> ConstraintPlace {
         let (row, state) = (i / self.n_x, i % self.n_x);
         let last = self.first_point.len() - 2;
         let experiment = (0..=last).rev().find(|&e| self.first_row(e) <= row).unwrap_or(0);
-        (experiment, row - self.first_row(experiment), state)
+        ConstraintPlace { experiment, row: row - self.first_row(experiment), state }
     }
 }

@@ -10,7 +10,7 @@ use super::pieces::{
 use crate::nlp::{Chains, Named, Nlp, NotFinite, Reach, Separable, Structure};
 use crate::problem::boundary::{Boundary, Places};
 use crate::problem::disjoint::Disjoint;
-use crate::problem::layout::Place;
+use crate::problem::layout::{ConstraintPlace, Place};
 use crate::threads::Threads;
 
 impl Shooting {
@@ -214,7 +214,7 @@ impl Named for Shooting {
         if let Some(boundary) = self.boundary.as_ref().filter(|_| i >= self.layout.m()) {
             return boundary.name(i, &self.posed.experiments);
         }
-        let (e, row, state) = self.layout.constraint(i);
+        let ConstraintPlace { experiment: e, row, state } = self.layout.constraint(i);
         let (t, name) = (self.nodes[e][row + 1], &self.posed.state_names[state]);
         format!("continuity of {name} at t = {t} s of '{}'", self.posed.experiments[e].name)
     }

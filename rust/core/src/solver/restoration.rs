@@ -26,17 +26,28 @@ const FIRST_WINDOW: usize = 16;
 /// Most blocks that are solved in turn: each iteration evaluates all of them.
 const MOST_BLOCKS: usize = 2000;
 
+/// An entry of the Jacobian in the equations of a block.
+#[derive(Clone, Copy)]
+struct BlockEntry {
+    /// Its number among all entries.
+    entry: usize,
+    /// Its row within the block.
+    row: usize,
+    /// Its column: within the block where the block determines it, else among all variables.
+    column: usize,
+}
+
 /// Equations that determine as many variables.
 struct Block {
     chain: usize,
     rows: Vec<usize>,
     columns: Vec<usize>,
-    /// Number of an entry of the Jacobian, its row and column within the block.
-    own: Vec<(usize, usize, usize)>,
-    /// Number of an entry, its row within the block, and its column, which another block determines.
-    others: Vec<(usize, usize, usize)>,
-    /// The same of columns that no block determines.
-    free: Vec<(usize, usize, usize)>,
+    /// Entries in columns that it determines.
+    own: Vec<BlockEntry>,
+    /// Entries in columns that another block determines.
+    others: Vec<BlockEntry>,
+    /// Entries in columns that no block determines.
+    free: Vec<BlockEntry>,
     /// The states of the point before, which the block starts from; none of the first.
     before: Option<usize>,
 }
@@ -47,7 +58,7 @@ impl Block {
         let n = self.rows.len();
         matrix.clear();
         matrix.resize(n * n, 0.0);
-        for &(entry, r, c) in &self.own {
+        for &BlockEntry { entry, row: r, column: c } in &self.own {
             matrix[if transposed { c * n + r } else { r * n + c }] += jacobian[entry];
         }
     }
@@ -153,9 +164,11 @@ impl Restoration {
             }
             let (number, r) = of_row[row]?;
             match of_column[column] {
-                Some((of, c)) if of == number => blocks[number].own.push((k, r, c)),
-                Some(_) => blocks[number].others.push((k, r, column)),
-                None => blocks[number].free.push((k, r, column)),
+                Some((of, c)) if of == number => {
+                    blocks[number].own.push(BlockEntry { entry: k, row: r, column: c })
+                }
+                Some(_) => blocks[number].others.push(BlockEntry { entry: k, row: r, column }),
+                None => blocks[number].free.push(BlockEntry { entry: k, row: r, column }),
             }
         }
         Some(Restoration {
@@ -202,7 +215,7 @@ impl Restoration {
             block.fill(jacobian, &mut self.matrix, false);
             self.right.clear();
             self.right.resize(n * width, 0.0);
-            for &(entry, r, column) in block.others.iter().chain(&block.free) {
+            for &BlockEntry { entry, row: r, column } in block.others.iter().chain(&block.free) {
                 let from = &z[column * width..][..width];
                 let to = &mut self.right[r * width..][..width];
                 to.iter_mut().zip(from).for_each(|(t, z)| *t -= jacobian[entry] * z);
@@ -229,7 +242,7 @@ impl Restoration {
                 return false;
             }
             block.rows.iter().zip(&self.right).for_each(|(&row, l)| out[row] = *l);
-            for &(entry, r, column) in &block.others {
+            for &BlockEntry { entry, row: r, column } in &block.others {
                 self.d[column] += jacobian[entry] * self.right[r];
             }
         }
@@ -405,7 +418,7 @@ impl Restoration {
         block.fill(&self.jacobian, &mut self.matrix, false);
         self.right.clear();
         self.right.extend(block.rows.iter().map(|&r| -self.c[r]));
-        for &(entry, r, column) in &block.others {
+        for &BlockEntry { entry, row: r, column } in &block.others {
             self.right[r] -= self.jacobian[entry] * self.d[column];
         }
         if !eliminate(&mut self.matrix, &mut self.right, 1) {
@@ -419,8 +432,8 @@ impl Restoration {
     fn measure_rounding(&mut self, blocks: Range<usize>, xi: &[f64]) {
         for block in &self.blocks[blocks] {
             block.rows.iter().for_each(|&row| self.rounding[row] = 0.0);
-            let own = block.own.iter().map(|&(entry, r, c)| (entry, r, block.columns[c]));
-            for (entry, r, column) in own.chain(block.others.iter().copied()) {
+            let own = block.own.iter().map(|own| BlockEntry { column: block.columns[own.column], ..*own });
+            for BlockEntry { entry, row: r, column } in own.chain(block.others.iter().copied()) {
                 self.rounding[block.rows[r]] += CANCELLATION * (self.jacobian[entry] * xi[column]).abs();
             }
         }

@@ -1,0 +1,190 @@
+//! Collocation as a nonlinear program: values, derivatives and names of its variables and constraints.
+
+use std::ops::Range;
+
+use super::Collocation;
+use crate::nlp::{Chains, Named, Nlp, NotFinite, Reach, Separable, Structure};
+use crate::problem::boundary::Boundary;
+use crate::problem::disjoint::Disjoint;
+use crate::problem::layout::{ConstraintPlace, Layout, Place};
+use crate::problem::objective::add;
+use crate::problem::posed::Posed;
+use crate::problem::transcribed::Transcribed;
+use crate::threads::Threads;
+
+impl Nlp for Collocation {
+    fn n(&self) -> usize {
+        self.layout.n()
+    }
+
+    fn m(&self) -> usize {
+        self.layout.m() + self.boundary.as_ref().map_or(0, Boundary::rows)
+    }
+
+    fn bounds(&self) -> (Vec<f64>, Vec<f64>) {
+        self.posed.bounds_of(self.n())
+    }
+
+    fn objective(&self, xi: &[f64]) -> Result<f64, NotFinite> {
+        self.objective.value(&self.posed, &self.layout, xi)
+    }
+
+    fn gradient(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.objective.gradient(&self.posed, &self.layout, xi, out)
+    }
+
+    fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.at_ends(|b, problem| b.values(problem, xi, out))?;
+        let out = Disjoint::new(out);
+        self.posed.each(
+            &self.chunks,
+            (&self.dynamics.f.value, xi),
+            0,
+            |chunk, uniforms, scratch, _| {
+                self.dynamics_job(chunk, xi, uniforms).defects(&mut scratch.workspace, &out)
+            },
+            |_, _| (),
+        )
+    }
+
+    fn jacobian_structure(&self) -> &Structure {
+        if let Some(structure) = self.jacobian_structure.get() {
+            return structure;
+        }
+        // Not within `get_or_init`: a thread that waits for others there might take up work that asks for it again.
+        let structure = self.jacobian_of_defects();
+        self.jacobian_structure.get_or_init(|| structure)
+    }
+
+    fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.at_ends(|b, problem| b.jacobian(problem, xi, out))?;
+        let out = Disjoint::new(out);
+        self.posed.each(
+            &self.chunks,
+            (&self.dynamics.f.jacobian, xi),
+            0,
+            |chunk, uniforms, scratch, _| {
+                self.dynamics_job(chunk, xi, uniforms).jacobian(&mut scratch.workspace, &out)
+            },
+            |_, _| (),
+        )
+    }
+
+    fn hessian_structure(&self) -> &Structure {
+        &self.hessian_structure
+    }
+
+    fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        // The others are written; those between parameters are added up.
+        let (first, ref pairs) = self.pairs;
+        let (stored, between) = out.split_at_mut(first);
+        between.fill(0.0);
+        let shared = Disjoint::new(stored);
+        let finite = self.posed.each(
+            &self.chunks,
+            (&self.dynamics.f.hessian, xi),
+            pairs[0].len(),
+            |chunk, uniforms, scratch, part| {
+                let job = self.dynamics_job(chunk, xi, uniforms);
+                job.hessian(&mut scratch.workspace, lambda, &shared, part, &mut scratch.weights)
+            },
+            |e, part| add(between, first, &pairs[e], part),
+        );
+        let finite = finite.and(self.objective.hessian(&self.posed, &self.layout, true, xi, factor, out));
+        finite.and(self.at_ends(|b, problem| b.hessian(problem, xi, lambda, out)))
+    }
+
+    fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite> {
+        out.fill(0.0);
+        self.objective.hessian(&self.posed, &self.layout, false, xi, factor, out)
+    }
+
+    fn chains(&self) -> Option<&Chains> {
+        Some(&self.chains)
+    }
+
+    fn longest_step(&self, i: usize) -> f64 {
+        self.posed.estimands.transforms.get(i).map_or(f64::INFINITY, |t| t.longest_step())
+    }
+
+    fn threads(&self) -> Threads {
+        self.posed.threads.clone()
+    }
+
+    fn profiled(&self) -> Range<usize> {
+        self.posed.profiled_noise()
+    }
+
+    fn profile(&self, xi: &[f64], gradient: &[f64], reach: &Reach<'_>, out: &mut [f64]) -> f64 {
+        self.posed.profile_noise(xi, gradient, reach, out)
+    }
+}
+
+impl Named for Collocation {
+    fn variable_name(&self, i: usize) -> String {
+        match self.layout.place(i) {
+            Place::Parameter(p) => self.posed.parameter_name(p),
+            Place::State { experiment, point, state } => {
+                self.posed.state_name(state, self.meshes[experiment].times[point], experiment)
+            }
+        }
+    }
+
+    fn constraint_name(&self, i: usize) -> String {
+        if let Some(boundary) = self.boundary.as_ref().filter(|_| i >= self.layout.m()) {
+            return boundary.name(i, &self.posed.experiments);
+        }
+        let ConstraintPlace { experiment: e, row, state } = self.layout.constraint(i);
+        let t = &self.meshes[e].times;
+        let name = &self.posed.state_names[state];
+        format!("defect of {name} ending at t = {} s of '{}'", t[row + 1], self.posed.experiments[e].name)
+    }
+
+    fn explain(&self, xi: &[f64]) -> Option<String> {
+        self.why_not_finite(xi)
+    }
+}
+
+impl Separable for Collocation {
+    fn nonlinear(&self) -> Vec<usize> {
+        self.posed.nonlinear()
+    }
+
+    fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64) {
+        self.posed.move_elsewhere(xi, variables, draw);
+    }
+}
+
+impl Transcribed for Collocation {
+    fn posed(&self) -> &Posed {
+        &self.posed
+    }
+
+    fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    fn boundary_states(&self) -> Vec<usize> {
+        self.boundary.as_ref().map_or_else(Vec::new, Boundary::all_states)
+    }
+
+    fn point_times(&self, experiment: usize) -> &[f64] {
+        &self.meshes[experiment].times
+    }
+
+    fn states_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
+        let (first, points) = (self.layout.first_point[experiment], &self.meshes[experiment].sample_points);
+        let path = |r: usize| points.iter().map(|p| xi[self.layout.state(first + p) + r]).collect();
+        (0..self.layout.n_x).map(path).collect()
+    }
+
+    fn outputs_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
+        Collocation::outputs_at_samples(self, xi, experiment)
+    }
+
+    fn path(&self, xi: &[f64], experiment: usize) -> (Vec<f64>, Vec<Vec<f64>>) {
+        let (first, mesh) = (self.layout.first_point[experiment], &self.meshes[experiment]);
+        let path = |r: usize| (0..mesh.n_mesh).map(|p| xi[self.layout.state(first + p) + r]).collect();
+        (mesh.times[..mesh.n_mesh].to_vec(), (0..self.layout.n_x).map(path).collect())
+    }
+}

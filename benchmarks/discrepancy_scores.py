@@ -125,11 +125,6 @@ def diagnosed(seed: int, choice: dict, diagnose: Callable | None = None, leave_o
     return Outcome(*about, found, verdict=d.verdict, equal=equal, **times)
 
 
-BLOCKS, DRAWS, INTERVAL = 24, 400, 95.0
-"""Blocks of time that the bootstrap of an explained part draws from, its draws, and the probability of its interval, in
-per cent."""
-
-
 def explains_as_much(case: hidden.Case, fit: Any, named: Any) -> bool:
     """Tell whether a fit with other causes explains as much of the held-out record in free simulation as one with what
     is hidden: whether the explained part of each lies in the interval of the other.
@@ -138,6 +133,9 @@ def explains_as_much(case: hidden.Case, fit: Any, named: Any) -> bool:
     square with the sign. Then it is right to name either.
     """
     import phugoid as ph
+    from phugoid.discrepancy.search.free_run import Misfitting, Simulated
+    from phugoid.discrepancy.search.refit import Refit, on_other_data
+    from phugoid.errors import PhugoidError
     from phugoid.sensitivities.linearised import Linearised
 
     library = {c.name: c for c in ph.candidates(fit.model, points=Linearised(fit).points)}
@@ -149,26 +147,18 @@ def explains_as_much(case: hidden.Case, fit: Any, named: Any) -> bool:
     truth = ph.estimate(model, case.data)
     if not truth.converged:
         return False
-    before, *others = (squares(f, case) for f in (fit, named, truth))
-    (one, own), (other, its) = (explained_part(before, after) for after in others)
-    return own[0] <= other <= own[1] and its[0] <= one <= its[1]
+    try:
+        before, one, other = (on_other_data(Refit((), f), [case.validation]) for f in (fit, named, truth))
+    except PhugoidError:
+        return False
+    without, misfit = Simulated.of(before), Misfitting.of(before)
+    mine, its = (Simulated.of(after).explained(without, misfit) for after in (one, other))
+    return within(mine.part, its.interval) and within(its.part, mine.interval)
 
 
-def squares(fit: Any, case: hidden.Case) -> np.ndarray:
-    """(blocks,) sums of squared residuals of the held-out record, first states and biases re-estimated, in units of the
-    noise."""
-    (record,) = fit.validate(case.validation).records
-    sigma = hidden.SYSTEMS[case.system].sigma
-    e = sum((r / sigma[n]) ** 2 for n, r in record.residuals.items())
-    return np.array([part.sum() for part in np.array_split(e, BLOCKS)])
-
-
-def explained_part(before: np.ndarray, after: np.ndarray) -> tuple[float, tuple[float, float]]:
-    """The part of a sum of squares that is explained, and its interval by a bootstrap of blocks."""
-    drawn = np.random.default_rng(0).integers(before.size, size=(DRAWS, before.size))
-    parts = 1.0 - after[drawn].sum(axis=1) / before[drawn].sum(axis=1)
-    low, high = np.percentile(parts, [50.0 - INTERVAL / 2.0, 50.0 + INTERVAL / 2.0])
-    return 1.0 - float(after.sum() / before.sum()), (float(low), float(high))
+def within(part: float, interval: tuple[float, float]) -> bool:
+    """Tell whether a number lies in an interval, or no further off than a part of 0.01."""
+    return interval[0] - 0.01 <= part <= interval[1] + 0.01
 
 
 def _without(case: hidden.Case) -> Any:

@@ -210,7 +210,7 @@ def diagnose(
             known = {b.cause for b in told}
             if (
                 remainder is not None
-                and remainder.disturbance.name not in known
+                and known.isdisjoint((remainder.disturbance.name, *remainder.rivals))
                 and not (slowly and remainder.is_noise)
             ):
                 findings.append(finding_of_remainder(remainder, fit, RemainderSettings().margin))

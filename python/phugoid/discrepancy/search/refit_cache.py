@@ -126,6 +126,8 @@ class RefitCache:
                 for k in (0, len(last.shapes) // 2):
                     best = best or refit(self.base.fit, candidates, {**starts, **last.shapes[k]}, near, points)
         ends = [best]
+        if any(c.begins_measured and c.shape_names[0] not in known for c in candidates):
+            ends.append(refit(self.base.fit, candidates, starts, near, measured=True))
         for c in new:
             name = c.shape_names[0]
             for factor in _STARTS if name in starts else ():

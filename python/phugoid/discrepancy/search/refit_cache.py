@@ -70,6 +70,10 @@ class RefitCache:
         """Number of candidates, each shape counted."""
         return sum(len(c.shapes) for c in self.candidates)
 
+    def known(self, candidates: Sequence[Candidate]) -> Refit | None:
+        """Return the refit of a set where there is one already, else None."""
+        return self._refits.get(frozenset(c.name for c in candidates))
+
     def refit(self, candidates: Sequence[Candidate], near: FitResult | None = None) -> Refit | None:
         """Return the refit of a set."""
         return self.refits([candidates], near)[0]

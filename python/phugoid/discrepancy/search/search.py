@@ -218,7 +218,8 @@ class Search:
         at = full
         while True:
             explained = {c.name: self.confirmation.explained(at, c) for c in at.candidates}
-            weak = [c for c in at.candidates if not self.assessment.is_named(at, c, explained[c.name])]
+            assess = self.assessment
+            weak = [c for c in at.candidates if not assess.is_named(at, c, explained[c.name]) or self._wanders(at, c)]
             if not weak:
                 return at
             weak.sort(key=lambda c: e.part if (e := explained[c.name]) else 0.0)
@@ -229,6 +230,13 @@ class Search:
             if following is None:
                 return at
             at = following
+
+    def _wanders(self, at: Refit, candidate: Candidate) -> bool:
+        """Tell whether a term of this record alone, beside the others, is no likelier than sensors that wander."""
+        if candidate.transferable:
+            return False
+        without = self.cache.refit([c for c in at.candidates if c is not candidate], at.fit)
+        return without is not None and self.assessment.wanders(without, at, candidate)
 
     def shared(self, at: Refit) -> Refit:
         """Return the refit without disturbances and drifts with which, as they were fitted, the simulation of the

@@ -18,6 +18,7 @@ from ...data.experiment import Experiment
 from ...data.filtering import EVEN, Signal
 from ...fit_result import dataset
 from ...residual_noise.series import resolution_of
+from ...residual_noise.whitening import Whitening
 from .refit import Refit, fitted_to
 
 __all__ = ["Thinned", "thinned"]
@@ -125,8 +126,9 @@ def _bends(e: Experiment) -> NDArray[np.bool_]:
 def _is_slow(base: Refit, data: Sequence[Experiment], k: int) -> bool:
     """Tell whether the fitted outputs hardly move within a block, beside the noise of its mean; but for blocks in which
     an input jumps."""
-    linear = base.linear
-    for name, channel in zip(linear.model.output_names, base.own.filter.channels, strict=True):
+    filter = base.own.filter
+    assert isinstance(filter, Whitening)  # channel by channel
+    for name, channel in zip(base.linear.model.output_names, filter.channels, strict=True):
         off = []
         for record, e in zip(base.fit.records, data, strict=True):
             y = np.interp(e.t, record.t, record.outputs[name])

@@ -11,7 +11,8 @@ An effect is found where its name is the cause of a finding or among its aliases
     python benchmarks/discrepancy.py --n 40 --leave-out --nothing 0 --doubles 0
 
 With --leave-out the library lacks the families of candidates that a case's effects belong to: whatever is named then is
-not what was hidden, though it may be all but the same.
+not what was hidden. Where it explains as much of the held-out record in free simulation as what was hidden does, each
+within the interval of the other, it acts alike, and is counted apart.
 
 Draws depend on --systems, --strengths, --noise, --doubles and --nothing too: give them again with --only, or make the
 case by the call that --list prints. Writes nothing.
@@ -84,7 +85,7 @@ def report(done, leave_out=False):
     tried = [o for o in done if not o.error.startswith("not made")]
     if leave_out:
         for title in ("strength", "kind"):
-            heads = [title, "cases", "named", "unexplained", "minor or surrogate", "nothing"]
+            heads = [title, "cases", "acts alike", "named", "unexplained", "minor or surrogate", "nothing"]
             show(f"Effects that the library has not, by {title}", heads, outside(tried, GROUPS[title]))
     for title, by in () if leave_out else GROUPS.items():
         rows = recall(tried, by)

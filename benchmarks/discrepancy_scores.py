@@ -51,6 +51,8 @@ class Outcome:
     truth    effect -> kind.
     error    what was raised, or "".
     verdict  of the diagnosis.
+    equal    whether, where what is hidden was left out of the library, the named causes explain as much of the held-out
+             record in free simulation as what is hidden does: another name for the same.
     time     of the diagnosis, s; ``fit_time`` and ``make_time`` before it.
     """
 
@@ -64,6 +66,7 @@ class Outcome:
     found: tuple[Found, ...] = ()
     error: str = ""
     verdict: str = ""
+    equal: bool = False
     time: float = float("nan")
     fit_time: float = float("nan")
     make_time: float = float("nan")
@@ -117,8 +120,45 @@ def diagnosed(seed: int, choice: dict, diagnose: Callable | None = None, leave_o
         Found((f.cause, *f.aliases)[:NAMES], f.status, float(f.coefficient), tuple(map(float, f.interval)))
         for f in d.findings
     )
+    equal = leave_out and d.verdict == "named" and explains_as_much(case, fit, d.extend().fit)
     times = {"time": done - fitted, "fit_time": fitted - made, "make_time": made - begin}
-    return Outcome(*about, found, verdict=d.verdict, **times)
+    return Outcome(*about, found, verdict=d.verdict, equal=equal, **times)
+
+
+def explains_as_much(case: hidden.Case, fit: Any, named: Any) -> bool:
+    """Tell whether a fit with other causes explains as much of the held-out record in free simulation as one with what
+    is hidden: whether the explained part of each lies in the interval of the other.
+
+    Many effects act alike in a band of frequencies and a range of motion: a lag and a delay, a rate's cube and its
+    square with the sign. Then it is right to name either.
+    """
+    import phugoid as ph
+    from phugoid.discrepancy.search.free_run import Misfitting, Simulated
+    from phugoid.discrepancy.search.refit import Refit, on_other_data
+    from phugoid.errors import PhugoidError
+    from phugoid.sensitivities.linearised import Linearised
+
+    library = {c.name: c for c in ph.candidates(fit.model, points=Linearised(fit).points)}
+    model = fit.model
+    for name in case.truth:
+        c = library[name]
+        values = [case.coefficients[name], *case.shapes[name].values()]
+        model = c.extended(model, dict(zip(c.parameters, values, strict=False)))
+    truth = ph.estimate(model, case.data)
+    if not truth.converged:
+        return False
+    try:
+        before, one, other = (on_other_data(Refit((), f), [case.validation]) for f in (fit, named, truth))
+    except PhugoidError:
+        return False
+    without, misfit = Simulated.of(before), Misfitting.of(before)
+    mine, its = (Simulated.of(after).explained(without, misfit) for after in (one, other))
+    return within(mine.part, its.interval) and within(its.part, mine.interval)
+
+
+def within(part: float, interval: tuple[float, float]) -> bool:
+    """Tell whether a number lies in an interval, or no further off than a part of 0.01."""
+    return interval[0] - 0.01 <= part <= interval[1] + 0.01
 
 
 def _without(case: hidden.Case) -> Any:
@@ -131,16 +171,17 @@ def _without(case: hidden.Case) -> Any:
 
 def outside(outcomes: Iterable[Outcome], by: Callable[[Outcome, str], str]) -> list[list[str]]:
     """Rows: group, number of cases, and how diagnoses of effects that the library has not end: the shares of those in
-    which a cause is named, in which the misfit is unexplained, and in which little (a minor finding or a surrogate) or
-    nothing is said to be missing."""
+    which a cause is named that acts alike, in which another is, in which the misfit is unexplained, and in which little
+    (a minor finding or a surrogate) or nothing is said to be missing."""
     counts: dict[str, Counter] = defaultdict(Counter)
     for o in outcomes:
         for group in {by(o, effect) for effect in o.truth} | ({"all"} if o.truth else set()):
-            counts[group][o.verdict] += 1
+            counts[group]["equal" if o.equal else o.verdict] += 1
     rows = []
     for group, c in sorted(counts.items(), key=lambda item: (item[0] == "all", item[0])):
         n, little = c.total(), c["minor"] + c["surrogate"]
-        rows.append([group, str(n), *(share(k, n) for k in (c["named"], c["unexplained"], little, c["nothing"]))])
+        ends = c["equal"], c["named"], c["unexplained"], little, c["nothing"]
+        rows.append([group, str(n), *(share(k, n) for k in ends)])
     return rows
 
 

@@ -163,7 +163,8 @@ def test_ctrl_c_leaves_what_was_found(when: str, fit: ph.Fit, diagnosis: ph.resu
     if when == "in the second round":
         assert found and found <= {*diagnosis.extend().added}
         assert d.extend().gain.log_likelihood > 0
-        assert all(np.isfinite([f.coefficient, f.std_error]).all() for f in d.findings)
+        # With the evidence by which they were accepted.
+        assert all(np.isfinite([f.coefficient, f.std_error, f.gain, f.explained]).all() for f in d.findings)
     else:
         assert not found and d.extend().added == ()
     text = d.summary()

@@ -10,6 +10,7 @@ from hidden.situation import situation
 import phugoid as ph
 from phugoid.discrepancy.search.refit import Refit, refit
 from phugoid.discrepancy.search.remainder import _in_a_tenth
+from phugoid.discrepancy.search.search import Search
 from phugoid.discrepancy.search.wandering import wandering
 from phugoid.sensitivities.tangents import collocated
 
@@ -39,6 +40,20 @@ def test_beside_a_drift_that_is_a_walk_a_walk_is_left(seed: int, output: str) ->
     gain, left = more.own.lenient_merit - base.own.lenient_merit, wandering(more, [output])
     assert gain > 10.0 and left > 1.0
     assert gain + left - wandering(base, [output]) < 8.0
+
+
+@pytest.mark.parametrize("tone", [True, False])
+def test_a_slow_tone_is_told_from_a_walk(tone: bool) -> None:
+    """The walk was named as a tone: it swings slowly by chance."""
+    s = make("servo", "torque:periodic", "medium", "white", 7) if tone else situation("random walk", "servo", 6102)
+    base = Refit((), collocated(ph.estimate(s.model, s.data)))
+    listed = [c for c in ph.candidates(s.model, points=base.linear.points) if c.name == "torque:periodic"]
+    search = Search(base, listed)
+    search.screen.shortlist(base)
+    (candidate,) = search.cache.candidates
+    more = search.cache.refit([candidate])
+    assert more is not None and search.assessment.gain(base, more) > 20.0
+    assert search.assessment.wanders(base, more, candidate) != tone
 
 
 def test_white_noise_does_not_wander() -> None:

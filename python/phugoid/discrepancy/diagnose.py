@@ -49,6 +49,7 @@ from .search.scan import NEARLY, Scan
 from .search.search import Search, SearchResult
 from .search.segments import segments_of
 from .search.stand_ins import without_stand_ins
+from .search.thinning import thinned
 
 __all__ = ["diagnose"]
 
@@ -140,6 +141,9 @@ def diagnose(
         fit = begun = restart.fit
     base = Refit((), begun)
     check_size(base)
+    thin = thinned(base, others) if restart is None else None
+    if thin is not None:
+        base, others, fit = thin.base, thin.validation, thin.base.fit
     segments = restart.segments if restart is not None and restart.segments else segments_of(base, others)
     if segments is not None:
         base, others, fit = segments.base, segments.validation, segments.base.fit
@@ -206,7 +210,7 @@ def diagnose(
             known = {b.cause for b in told}
             if (
                 remainder is not None
-                and remainder.disturbance.name not in known
+                and known.isdisjoint((remainder.disturbance.name, *remainder.rivals))
                 and not (slowly and remainder.is_noise)
             ):
                 findings.append(finding_of_remainder(remainder, fit, RemainderSettings().margin))
@@ -239,7 +243,12 @@ def diagnose(
         alone = [c.name for c in final.candidates if c.name not in kept.names]
         if alone:
             notes = (*notes, _OF_THESE_RECORDS.format(", ".join(alone)))
-        notes = (*notes, *words_of_inputs(between, sampled), *([segments.note] if segments else []))
+        notes = (
+            *notes,
+            *words_of_inputs(between, sampled),
+            *([segments.note] if segments else []),
+            *([thin.note] if thin else []),
+        )
         notes = (*([restart.words] if restart else []), *([unfitted] if unfitted else []), *notes)
         # An input that is held is a finding; one that was sampled slowly is none, nor what comes of it.
         diagnosed = corrected.fit if sampled or any(b.kind == "cubic" for b in between) else fit

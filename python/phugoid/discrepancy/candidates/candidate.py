@@ -69,6 +69,11 @@ class Candidate(ABC):
         return False
 
     @property
+    def begins_measured(self) -> bool:
+        """Whether a fit may begin at the measured motion, since that without the candidate goes where it cannot."""
+        return False
+
+    @property
     def parameters(self) -> tuple[str, ...]:
         """Names of all parameters that `extended` adds."""
         return (*self.coefficients, *self.shape_names)

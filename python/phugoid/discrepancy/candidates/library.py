@@ -310,7 +310,8 @@ def _limits(structure: ModelStructure, scales: Scales, names: _Names) -> Iterato
         if at is not None:
             words = f"{x} meets an end stop, which acts on {speed} like a stiff spring"
             stiffness = names(f"stop_of_{x}")
-            yield EndStop(f"{x}:limit", at, words, "limit", scales, (stiffness,), (limit,), variables=(x,))
+            shape = limit, names(f"loss_of_{x}")
+            yield EndStop(f"{x}:limit", at, words, "limit", scales, (stiffness,), shape, variables=(x,), speed=speed)
         elif x in places and units.get(x, "") not in ANGLES and not units.get(x, "").endswith("/s"):
             words = f"{x} goes no further than a limit (overflow, a store that is full or empty)"
             yield StateLimit(f"{x}:limit", Place("equation", x), words, "limit", scales, (), (limit,), variables=(x,))

@@ -13,7 +13,7 @@ from ..._core import Expr
 from ...functions import smooth_abs, smooth_step
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Points
-from .candidate import Effect, ExtensionBuilder, largest_coefficient
+from .candidate import Effect, ExtensionBuilder
 from .scales import evaluated, of, rate_key
 
 __all__ = ["EndStop", "StateLimit"]
@@ -26,10 +26,17 @@ _CORNER, _RATE = 0.004, 0.003
 _CLOSED = 2.5
 # Parts of the range, from either end, at which a limit is looked for, and how far outside of it it may be.
 _PARTS, _BEYOND = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4]), 0.02
+# Radians of a contact's motion from one point of the mesh to the next, at most; and the part of that stiffness at which
+# the search begins.
+_QUICKEST, _SOFT = 0.5, 0.05
+# By how many times a stop's force may rise at a speed of the whole range of speeds; the part of it at which the search
+# begins; and the corner of what does not pull.
+_LOSS, _LITTLE, _PUSH = 200.0, 0.002, 0.05
 
 # Part of a measured state's range in which samples crowd at a limit, part of all that are there, and times as many as
-# next to it; of fewer samples nothing is said.
-_CROWDED, _OFTEN, _MORE, _FEW = 0.04, 0.06, 1.5, 40
+# next to it; of fewer samples nothing is said. Oscillations crowd where they turn, but at both ends: times as many as
+# at the other.
+_CROWDED, _OFTEN, _MORE, _RESTS, _FEW = 0.04, 0.06, 1.5, 3.0, 40
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,6 +44,11 @@ class _StateEffect(Effect):
     """A state with a limit: an upper one where it lies above the median, else a lower."""
 
     stage: int = 5
+
+    @property
+    def _one_sided(self) -> float:
+        """How many times as many samples there are to be at a limit as at the other end of the range."""
+        return 0.0
 
     @property
     def several_starts(self) -> bool:
@@ -64,7 +76,7 @@ class _StateEffect(Effect):
 
     def _limit(self, extension: ExtensionBuilder) -> tuple[Expr, float]:
         """Declare the limit; and on which side of the motion it is."""
-        (name,) = self.shape_names
+        name = self.shape_names[0]
         low, high = self._span()
         first = float(extension.start.get(name, self.shapes[0][name]))
         more = 0.2 * (high - low)
@@ -73,11 +85,25 @@ class _StateEffect(Effect):
         return limit, self._side(first)
 
     def reachable(self, states: Mapping[str, _Array], start: Mapping[str, float]) -> Mapping[str, _Array]:
-        (name,) = self.shape_names
+        name = self.shape_names[0]
         if name not in start:
             return {}
         side = self._side(start[name])
         return {self._x: side * np.minimum(side * states[self._x], side * start[name])}
+
+    def suggested(self, measured: Mapping[str, Sequence[_Array]]) -> Mapping[str, float] | None:
+        """Return the upper or lower end of a measured state, where its samples crowd there."""
+        for name, every in measured.items():
+            if name != self._x:
+                continue
+            z = np.concatenate([y[np.isfinite(y)] for y in every])
+            if z.size <= _FEW:
+                continue
+            crowds = {side: _crowded(side * z) for side in (1.0, -1.0)}
+            for side, (end, near, next_to) in crowds.items():
+                if near > max(_OFTEN, _MORE * next_to, self._one_sided * crowds[-side][1]):
+                    return {self.shape_names[0]: side * end}
+        return None
 
     def _reached(self, points: Sequence[Points]) -> tuple[float, float]:
         x = np.concatenate([of(p.values, self._x, p, "state") for p in points])
@@ -103,22 +129,6 @@ class StateLimit(_StateEffect):
         side = self._side(limit)
         return np.asarray(-rate * _full(points.t, side * x, side * rate, side * limit))[np.newaxis]
 
-    def suggested(self, measured: Mapping[str, Sequence[_Array]]) -> Mapping[str, float] | None:
-        """Return the upper or lower end of a measured state, where its samples crowd there."""
-        for name, every in measured.items():
-            if name != self._x:
-                continue
-            z = np.concatenate([y[np.isfinite(y)] for y in every])
-            for side in (1.0, -1.0) if z.size > _FEW else ():
-                end = float(np.quantile(side * z, 0.99))
-                near, next_to = (
-                    float(np.mean(np.abs(end - step * _CROWDED * np.ptp(z) - side * z) < 0.5 * _CROWDED * np.ptp(z)))
-                    for step in (0.25, 1.25)
-                )
-                if near > max(_OFTEN, _MORE * next_to):
-                    return {self.shape_names[0]: side * end}
-        return None
-
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
         limit, side = self._limit(extension)
@@ -128,6 +138,13 @@ class StateLimit(_StateEffect):
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         return {self.shape_names[0]: self._reached(points)}
+
+
+def _crowded(z: _Array) -> tuple[float, float, float]:
+    """Return the upper end of samples (n,), and the parts of them that are there and next to it."""
+    end, width = float(np.quantile(z, 0.99)), _CROWDED * float(np.ptp(z))
+    near, next_to = (float(np.mean(np.abs(end - step * width - z) < 0.5 * width)) for step in (0.25, 1.25))
+    return end, near, next_to
 
 
 def _full(t: _Array, x: _Array, rate: _Array, limit: float) -> _Array:
@@ -143,23 +160,58 @@ def _full(t: _Array, x: _Array, rate: _Array, limit: float) -> _Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EndStop(_StateEffect):
-    """A position that meets a stop: beyond the limit a stiff spring acts on its rate, c (x - limit)."""
+    """A position that meets a stop: beyond the limit a stiff spring with losses acts on its rate, c d (1 + b d') with d
+    = x - limit, which only pushes (Hunt and Crossley 1975, exponent 1). With great losses the position stays there.
 
-    def _beyond(self, limit: Any, side: float) -> Expr:
+    ``speed``: the state that is the rate of the position.
+    """
+
+    speed: str = ""
+
+    @property
+    def begins_measured(self) -> bool:
+        return True
+
+    @property
+    def _one_sided(self) -> float:
+        return _RESTS
+
+    def _force(self, limit: Any, side: float, loss: Any) -> Expr:
+        """Return the force of a spring of unit stiffness, towards the stop."""
         distance = side * (Expr.symbol(self._x) - limit)
-        return Expr(0.5 * (distance + smooth_abs(distance, self._corner)))
+        beyond = 0.5 * (distance + smooth_abs(distance, self._corner))
+        push = 1.0 + side * loss * Expr.symbol(self.speed)
+        return Expr(beyond * 0.5 * (push + smooth_abs(push, _PUSH)))
+
+    def _stiffest(self) -> float:
+        """Return the stiffness of a contact that lasts for a few samples: that of a stiffer one the records cannot
+        tell, and the solver makes up motions between the samples that meet no stop."""
+        s = self.scales
+        gain = s.span(rate_key(self.speed)) / s.span(self.place.name) if self.place.kind == "quantity" else 1.0
+        return (_QUICKEST / s.interval) ** 2 / max(gain, 1e-300)
+
+    def _most_loss(self) -> float:
+        return _LOSS / self.scales.span(rate_key(self._x))
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
-        limit = shape[self.shape_names[0]]
-        return -self._side(limit) * evaluated(self._beyond(limit, self._side(limit)), points)[np.newaxis]
+        limit, *more = (shape[n] for n in self.shape_names if n in shape)
+        side = self._side(limit)
+        return -side * evaluated(self._force(limit, side, more[0] if more else 0.0), points)[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
-        c = extension.parameter(self.coefficients[0])
+        most = self._stiffest()
+        # Of no stiffness the limit would do nothing, and of much it would have to be known.
+        (name,) = self.coefficients
+        first = max(extension.start.get(name, 0.0), _SOFT * most)
+        extension.start[name] = first
+        c = extension.parameter(name, bounds=(0.0, most))
         limit, side = self._limit(extension)
-        extension.put(self.place, extension.at(self.place) - side * c * self._beyond(limit, side))
+        loss = extension.parameter(self.shape_names[1], _LITTLE * self._most_loss(), bounds=(0.0, self._most_loss()))
+        extension.put(self.place, extension.at(self.place) - side * c * self._force(limit, side, loss))
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        largest = 50.0 * largest_coefficient(self, self.shapes[3], points)
-        return {self.coefficients[0]: (0.0, largest), self.shape_names[0]: self._reached(points)}
+        limit, loss = self.shape_names
+        most = 1.001 * self._stiffest()
+        return {self.coefficients[0]: (0.0, most), limit: self._reached(points), loss: (0.0, 1.001 * self._most_loss())}

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..candidates.candidate import Candidate
-from .evidence import Assessment, is_physical
+from .evidence import Assessment, Evidence, is_physical
 from .free_run import Explained
 from .refit import HeldOut, Refit
 from .refit_cache import RefitCache
@@ -78,6 +78,8 @@ class Confirmation:
     ) -> None:
         self._cache, self._screen, self._refitting = cache, screen, refitting
         self._assessment, self.settings = assessment, settings
+        # Of terms that were accepted, when they were.
+        self.evidence: dict[str, Evidence] = {}
 
     def accepted(self, current: Refit, tries: Sequence[Refit]) -> tuple[Refit | None, Found | None]:
         """Return, of refits with one more term, the one whose new term is a finding, settled; else what remains
@@ -118,6 +120,7 @@ class Confirmation:
             if evidence.accepted:
                 found = self._simplest(below, settled, new[0])
                 if self._is_progress(current, found):
+                    self.evidence |= dict.fromkeys((c.name for c in found.beside(current.candidates)), evidence)
                     return found, None
                 continue
             if evidence.held_out is None:  # it is not even significant

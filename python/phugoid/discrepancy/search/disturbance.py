@@ -33,6 +33,7 @@ __all__ = [
     "functions_of",
     "histories_at",
     "noises_of",
+    "powers_of",
 ]
 
 _Array = NDArray[np.float64]
@@ -281,6 +282,16 @@ def disturbance_at(linear: Linearised, of: Disturbance) -> float:
     answers = linear.answers(of.place, _signals(linear.points, knots))
     effects = RandomEffects(linear, answers).with_correlation(_exponential(knots, of.correlation / of.step))
     return effects.at(of.marginal.variance, of.marginal.noise).log_likelihood
+
+
+def powers_of(linear: Linearised, of: Disturbance) -> _Array:
+    """Return the mean square (n_y,) that a random time history is expected to give each output."""
+    knots, _ = _knots(linear.points, 0, of.step)
+    answers = linear.answers(of.place, _signals(linear.points, knots))
+    correlation = _exponential(knots, of.correlation / of.step)
+    both = answers if correlation is None else correlation @ answers
+    squares = of.marginal.variance * np.sum(answers * both, axis=0)
+    return np.array([float(squares[line[0].start : line[-1].stop].mean()) for line in linear.rows])
 
 
 def _knots(points: Sequence[Points], count: int, step: float = 0.0) -> tuple[list[_Array], float]:

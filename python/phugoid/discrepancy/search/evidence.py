@@ -104,7 +104,7 @@ class Assessment:
         held = self.held_out(base, more)
         predicts = self.predicts(held)
         rings = predicts and any(self._rings_too(more, c) for c in more.beside(base.candidates))
-        wanders = predicts and any(self._wanders(base, more, c) for c in more.beside(base.candidates))
+        wanders = predicts and any(self.wanders(base, more, c) for c in more.beside(base.candidates))
         return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings, wanders)
 
     def threshold(self, candidate: Candidate | None = None) -> float:
@@ -250,11 +250,11 @@ class Assessment:
         filter = ringing.filter if ringing else base.own.filter
         return 2.0 * (more.through(filter).log_likelihood - base.through(filter).log_likelihood)
 
-    def _wanders(self, base: Refit, more: Refit, candidate: Candidate) -> bool:
-        """Tell whether a candidate is a drift that is no likelier than a random walk of the sensor, or, of a parameter,
-        of all sensors: a walk rises or falls over a record by chance. Beside a drift that is one no walk is left;
-        where one is, the drift must be significant in noise that walks."""
-        if not isinstance(candidate, Effect) or candidate.family not in _DRIFTS:
+    def wanders(self, base: Refit, more: Refit, candidate: Candidate) -> bool:
+        """Tell whether a candidate is a drift or a disturbance of this record alone that is no likelier than a random
+        walk of the sensor, or, of what acts on the vehicle, of all sensors: a walk rises, falls and swings slowly by
+        chance. Beside a drift that is one no walk is left; where one is, it must be significant in noise that walks."""
+        if not isinstance(candidate, Effect) or (candidate.transferable and candidate.family not in _DRIFTS):
             return False
         of_sensor = candidate.place.kind == "output"
         outputs = [candidate.place.name] if of_sensor else base.linear.model.output_names

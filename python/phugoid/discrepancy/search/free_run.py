@@ -17,15 +17,15 @@ from ...residual_noise.series import ROUNDED, resolution_of
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.linearised import Linearised
 
-__all__ = ["Explained", "Misfitting", "Simulated"]
+__all__ = ["LEAST", "Explained", "Misfitting", "Simulated"]
 
 _Array = NDArray[np.float64]
 
 # Blocks of time, over all records, that a bootstrap draws from, its draws, and the probability of its interval.
 _BLOCKS, _DRAWS, _INTERVAL = 24, 400, 0.95
-# Parts of an output's power that is not noise below this are taken as this: of white residuals there is nothing to
-# explain, and a ratio to it would say nothing.
-_LEAST = 0.02
+LEAST = 0.02
+"""Parts of an output's power that is not noise below this are taken as this: of white residuals there is nothing to
+explain, and a ratio to it would say nothing."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +104,11 @@ class Simulated:
         tail = 50.0 * (1.0 - _INTERVAL)
         # Whatever is explained was misfit, be it as quick as noise.
         drawn_sums = sums[drawn].sum(axis=1)
-        ratios = drawn_sums / np.maximum(np.maximum(wholes[drawn].sum(axis=1), drawn_sums), _LEAST)
+        ratios = drawn_sums / np.maximum(np.maximum(wholes[drawn].sum(axis=1), drawn_sums), LEAST)
         low, high = np.percentile(ratios, [tail, 100.0 - tail])
         of_outputs = np.bincount(output, weights=less, minlength=n)
         named = dict(zip(self.names, of_outputs.tolist(), strict=True))
-        part = float(sums.sum()) / max(float(wholes.sum()), float(sums.sum()), _LEAST)
+        part = float(sums.sum()) / max(float(wholes.sum()), float(sums.sum()), LEAST)
         return Explained(part, (float(low), float(high)), named)
 
 

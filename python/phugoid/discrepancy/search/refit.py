@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 # A refit goes on from a fit nearby: one that needs more goes nowhere. What a scan elsewhere proposed may be farther.
-_ITERATIONS, _PATIENT = 40, 150
+_ITERATIONS, _PATIENT, _FROM_MEASURED = 40, 150, 250
 _SOLVER = Newton(max_iterations=_ITERATIONS)
 # In s and in times of the base fit: where its iterations take so long, the mesh is refined again and again.
 _SECONDS, _TIMES = 30.0, 20.0
@@ -115,9 +115,11 @@ def refit(
     near: FitResult | None = None,
     points: Sequence[Points] = (),
     patient: bool = False,
+    measured: bool = False,
 ) -> Refit | None:
     """Return the base model with candidates, fitted from the values in ``starts`` and a fit nearby; new states from
-    what the candidates say of them at ``points``.
+    what the candidates say of them at ``points``. ``measured``: the path begins at the measurements instead, which
+    takes many iterations.
 
     None where there is no such model or the solver does not come to an end.
     """
@@ -128,15 +130,15 @@ def refit(
             model = candidate.extended(model, own)
         if model.delays:
             model = model._changed(delays=replace(model.delays, settled=_SETTLED, passes=_PASSES))
+        from_fit = started_from(near or base, model.parameter_names)
+        iterations = _FROM_MEASURED if measured else _PATIENT if patient else _ITERATIONS
         fit = estimate(
             model,
             dataset(base),
             transcription=base.transcription,
             noise=base.noise,
-            start=_with_paths(started_from(near or base, model.parameter_names), candidates, points, starts),
-            solver=Newton(
-                max_iterations=_PATIENT if patient else _ITERATIONS, time_limit=max(_SECONDS, _TIMES * base.time)
-            ),
+            start=values_of(from_fit) if measured else _with_paths(from_fit, candidates, points, starts),
+            solver=Newton(max_iterations=iterations, time_limit=max(_SECONDS, _TIMES * base.time)),
         )
     except PhugoidError:
         return None

@@ -70,6 +70,10 @@ class RefitCache:
         """Number of candidates, each shape counted."""
         return sum(len(c.shapes) for c in self.candidates)
 
+    def known(self, candidates: Sequence[Candidate]) -> Refit | None:
+        """Return the refit of a set where there is one already, else None."""
+        return self._refits.get(frozenset(c.name for c in candidates))
+
     def refit(self, candidates: Sequence[Candidate], near: FitResult | None = None) -> Refit | None:
         """Return the refit of a set."""
         return self.refits([candidates], near)[0]
@@ -126,6 +130,8 @@ class RefitCache:
                 for k in (0, len(last.shapes) // 2):
                     best = best or refit(self.base.fit, candidates, {**starts, **last.shapes[k]}, near, points)
         ends = [best]
+        if any(c.begins_measured and c.shape_names[0] not in known for c in candidates):
+            ends.append(refit(self.base.fit, candidates, starts, near, measured=True))
         for c in new:
             name = c.shape_names[0]
             for factor in _STARTS if name in starts else ():

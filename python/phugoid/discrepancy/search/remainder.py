@@ -18,9 +18,9 @@ from ...sensitivities.trajectory import Place
 from ...sensitivities.whitened import Whitened
 from ...validation.frozen_model import freed_by_default
 from ..candidates.candidate import Candidate, Effect, is_function
-from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of
+from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of, powers_of
 from .evidence import is_structured
-from .free_run import Explained, Misfitting, Simulated
+from .free_run import LEAST, Explained, Misfitting, Simulated
 from .process_noise import FilterErrorRefit, filtered, filtered_elsewhere
 from .refit import Refit, fitted_to
 from .search import Search, SearchResult
@@ -271,9 +271,17 @@ def _in_a_tenth(values: _Array) -> float:
 
 
 def _share(search: Search, at: Refit, of: Disturbance) -> float:
-    """Return the part of the misfit of the model diagnosed that a disturbance takes up, in the records themselves."""
-    left, linear = Simulated.of(at.linear, of.marginal.residuals), search.cache.base.linear
-    return left.explained(Simulated.of(at.linear), Misfitting.of(linear)).part
+    """Return the part of the misfit of the model diagnosed that a disturbance takes up, in the records themselves.
+
+    A random time history with hundreds of knots takes up noise of the sensors as well, and more of it the more samples
+    there are: of one its variance tells what it does to the outputs.
+    """
+    base = search.cache.base.linear
+    if of.kind != "noise":
+        left = Simulated.of(at.linear, of.marginal.residuals)
+        return left.explained(Simulated.of(at.linear), Misfitting.of(base)).part
+    misfit, powers = Misfitting.of(base), powers_of(at.linear, of)
+    return float(np.sum(powers / np.maximum(misfit.powers, 1e-300))) / max(float(misfit.parts.sum()), LEAST)
 
 
 def _held_out(search: Search, option: _Option, d: Disturbance, other: Linearised, s: RemainderSettings) -> float:

@@ -136,9 +136,22 @@ class Search:
                 remarks = (_rest_rings(left.frequencies),)
             return self.concluded(current, unexplained, remarks)
         except KeyboardInterrupt:
-            nothing, nan = HeldOut(float("nan"), 0.0, float("nan")), float("nan")
-            found = [Found(c, nan, self.assessment.threshold(c) / 2, {}, nothing) for c in current.candidates]
-            return SearchResult(current, current, tuple(found), remarks, True)
+            return self._interrupted(current, remarks)
+
+    def _interrupted(self, current: Refit, remarks: tuple[str, ...]) -> SearchResult:
+        """Return what had been accepted, by the evidence of that time: beside what came later it may be other."""
+        nan = float("nan")
+        found = []
+        for c in current.candidates:
+            e = self.confirmation.evidence.get(c.name)
+            needed = self.assessment.threshold(c) / 2
+            if e is None or e.held_out is None:
+                found.append(Found(c, nan, needed, {}, HeldOut(nan, 0.0, nan)))
+            else:
+                found.append(Found(c, e.gain / 2, needed, {}, e.held_out, explained=e.explained))
+        weak = {f.candidate.name for f in found if f.candidate and self.assessment.is_minor(f.explained)}
+        final = self.cache.known([c for c in current.candidates if c.name not in weak])
+        return SearchResult(final or current, current, tuple(found), remarks, True)
 
     def chances(self, at: Refit) -> float:
         """Return the log-likelihood that a refit's terms must gain, as many as were tried."""
@@ -205,7 +218,8 @@ class Search:
         at = full
         while True:
             explained = {c.name: self.confirmation.explained(at, c) for c in at.candidates}
-            weak = [c for c in at.candidates if not self.assessment.is_named(at, c, explained[c.name])]
+            assess = self.assessment
+            weak = [c for c in at.candidates if not assess.is_named(at, c, explained[c.name]) or self._wanders(at, c)]
             if not weak:
                 return at
             weak.sort(key=lambda c: e.part if (e := explained[c.name]) else 0.0)
@@ -216,6 +230,13 @@ class Search:
             if following is None:
                 return at
             at = following
+
+    def _wanders(self, at: Refit, candidate: Candidate) -> bool:
+        """Tell whether a term of this record alone, beside the others, is no likelier than sensors that wander."""
+        if candidate.transferable:
+            return False
+        without = self.cache.refit([c for c in at.candidates if c is not candidate], at.fit)
+        return without is not None and self.assessment.wanders(without, at, candidate)
 
     def shared(self, at: Refit) -> Refit:
         """Return the refit without disturbances and drifts with which, as they were fitted, the simulation of the

@@ -58,7 +58,7 @@ def test_a_fit_that_has_not_converged_is_exit_code_1(here: Path) -> None:
         ("minor", False, 0),
         ("surrogate", False, 0),
         ("unexplained", False, 1),
-        ("nothing", True, 130),
+        ("interrupted", True, 130),
     ],
 )
 def test_exit_codes(verdict: str, interrupted: bool, code: int) -> None:

@@ -46,7 +46,7 @@ class Diagnosis(DiagnosisResult, Generic[_F]):
                 lines are wrong there.
     misfit      what it gets wrong: per channel, when, in which regime, at which frequencies.
     findings    what is missing, in the order in which it was found.
-    verdict     "named", "unexplained", "surrogate", "minor" or "nothing": the conclusion.
+    verdict     "named", "unexplained", "surrogate", "minor", "nothing" or "interrupted": the conclusion.
     ranking     all candidates of the first scan with their statistics, in the order of `Scored.ranking`.
     threshold   that twice the gain in log-likelihood of a candidate with one coefficient has to pass; findings have
                 theirs, in log-likelihood itself.

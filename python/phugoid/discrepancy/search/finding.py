@@ -258,7 +258,7 @@ class DiagnosisResult:
         return any(f.status == "named" for f in self.findings)
 
     @property
-    def verdict(self) -> Literal["named", "minor", "surrogate", "unexplained", "nothing"]:
+    def verdict(self) -> Literal["named", "minor", "surrogate", "unexplained", "nothing", "interrupted"]:
         """What the diagnosis comes to: the first of these that there is.
 
         "named"        a cause that is significant both by the likelihood and in free simulation.
@@ -266,13 +266,16 @@ class DiagnosisResult:
                        output of which 5 % of the residuals' power, or more, is more than white noise.
         "surrogate", "minor"   findings of that status only, and residuals without more structure than that.
         "nothing"      residuals that are not significantly coloured, as far as these data tell.
+        "interrupted"  none of these by the time the search was ended, which is no statement about the model.
         """
         statuses = {f.status for f in self.findings}
         if "named" in statuses:
             return "named"
         if "unexplained" in statuses or self.structured_outputs:
             return "unexplained"
-        return "surrogate" if "surrogate" in statuses else "minor" if "minor" in statuses else "nothing"
+        if statuses:
+            return "surrogate" if "surrogate" in statuses else "minor"
+        return "interrupted" if self.interrupted else "nothing"
 
     @cached_property
     def remaining(self) -> Misfit:

@@ -354,7 +354,12 @@ def _on_input(structure: ModelStructure, variable: Variable, scales: Scales, nam
     shaped: list[tuple[Callable[..., Effect], str, str, str]] = [
         (DeadBand, "deadband", f"deadband_{u}", f"small deflections of {u} do nothing (dead-band, play)"),
         (Saturation, "saturation", f"saturation_{u}", f"large deflections of {u} are cut off (saturation)"),
-        (Backlash, "backlash", f"backlash_{u}", f"{u} has play: it does nothing until it has moved by the width"),
+        (
+            Backlash,
+            "backlash",
+            f"backlash_{u}",
+            f"{u} has play: after it turns it does nothing until it has moved by twice the estimate",
+        ),
         (RateLimit, "rate_limit", f"rate_limit_{u}", f"{u} acts no faster than a greatest rate"),
         (InputLag, "lag", f"lag_{u}", f"{u} acts with a lag (first-order actuator)"),
     ]

@@ -40,7 +40,8 @@ __all__ = [
     "started_from",
 ]
 
-# A refit goes on from a fit nearby: one that needs more goes nowhere. What a scan elsewhere proposed may be farther.
+# A refit goes on from a fit nearby: one that needs more goes nowhere. What a scan elsewhere proposed may be farther,
+# and so may a term without a shape, such as strong friction, whose iterations are quick.
 _ITERATIONS, _PATIENT, _FROM_MEASURED = 40, 150, 250
 _SOLVER = Newton(max_iterations=_ITERATIONS)
 # In s and in times of the base fit: where its iterations take so long, the mesh is refined again and again.
@@ -131,6 +132,7 @@ def refit(
         if model.delays:
             model = model._changed(delays=replace(model.delays, settled=_SETTLED, passes=_PASSES))
         from_fit = started_from(near or base, model.parameter_names)
+        patient = patient or not any(c.shape_names for c in candidates)
         iterations = _FROM_MEASURED if measured else _PATIENT if patient else _ITERATIONS
         fit = estimate(
             model,

@@ -67,6 +67,9 @@ def with_recorded_input(search: Search) -> tuple[RecordedInput | None, bool]:
             return None, False
         search.screen.shortlist(cache.base)
         names = {f"{found.name}:{rival}" for rival in _RIVALS[found.kind]}
+        if found.kind != "noise":
+            # Half a sample of the input is a delay of all outputs; of one of them it need not be the input's.
+            names |= {f"{y}:delay" for y in cache.base.fit.model.output_names}
         late = [c for c in cache.candidates if c.name in names]
         rivals = [r for r in cache.refits([[c] for c in late if cache.has_start(c.name)]) if r is not None]
         best = max((r.merit - len(r.candidates[0].parameters) for r in rivals), default=-np.inf)

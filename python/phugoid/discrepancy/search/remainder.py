@@ -276,14 +276,17 @@ def _share(search: Search, at: Refit, of: Disturbance) -> float:
     """Return the part of the misfit of the model diagnosed that a disturbance takes up, in the records themselves.
 
     A random time history with hundreds of knots takes up noise of the sensors as well, and more of it the more samples
-    there are: of one its variance tells what it does to the outputs.
+    there are: of one its variance tells what it does to the outputs. Where the model integrates, that is more than it
+    did in these records. Thus the lesser of both.
     """
     base = search.cache.base.linear
+    misfit = Misfitting.of(base)
+    taken = Simulated.of(at.linear, of.marginal.residuals).explained(Simulated.of(at.linear), misfit).part
     if of.kind != "noise":
-        left = Simulated.of(at.linear, of.marginal.residuals)
-        return left.explained(Simulated.of(at.linear), Misfitting.of(base)).part
-    misfit, powers = Misfitting.of(base), powers_of(at.linear, of)
-    return float(np.sum(powers / np.maximum(misfit.powers, 1e-300))) / max(float(misfit.parts.sum()), LEAST)
+        return taken
+    powers = powers_of(at.linear, of)
+    expected = float(np.sum(powers / np.maximum(misfit.powers, 1e-300))) / max(float(misfit.parts.sum()), LEAST)
+    return min(taken, expected)
 
 
 def _held_out(search: Search, option: _Option, d: Disturbance, other: Linearised, s: RemainderSettings) -> float:

@@ -51,9 +51,9 @@ impl Settings {
     setters! { order: usize, grid: Vec<Grid>, threads: usize, noise_per_experiment: bool; }
 }
 
-/// The collocation problem: −ℓ(θ, x) to be minimised under the defects. It is an [`Nlp`]: any optimiser that
-/// takes sparse derivatives can solve it. [`Estimation`](crate::Estimation) makes one with a point to start
-/// from, [`Estimation::transcribe`](crate::Estimation::transcribe).
+/// The collocation problem: −ℓ(θ, x) to be minimised under the defects. It is an [`Nlp`](crate::nlp::Nlp): any
+/// optimiser that takes sparse derivatives can solve it. [`Estimation`](crate::Estimation) makes one with a point
+/// to start from, [`Estimation::transcribe`](crate::Estimation::transcribe).
 ///
 /// ```
 /// use phugoid::nlp::{Named, Nlp};

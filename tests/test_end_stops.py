@@ -71,7 +71,7 @@ def stopped(rigid: bool) -> ph.Experiment:
 
 @pytest.mark.parametrize("rigid", [True, False])
 def test_a_stop_is_estimated(rigid: bool) -> None:
-    """Where the mass rests, from the measured motion: the path of a fit without the stop goes where it cannot."""
+    """Begin at the measured motion where the mass rests: the path of a fit without the stop goes where it cannot."""
     base = Refit((), ph.estimate(oscillator(), stopped(rigid)))
     points = base.linear.points
     stop = ph.candidates(oscillator(), points=points)["x:limit"]

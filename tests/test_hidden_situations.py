@@ -11,7 +11,7 @@ from hidden.twists import STOPPED
 
 @pytest.mark.parametrize("what", SITUATIONS)
 def test_every_situation_can_be_made(what: str, full_size: bool) -> None:
-    """In every system, or in two of them that differ from situation to situation."""
+    """Make it in every system, or in two of them that differ from situation to situation."""
     made, first = [], SITUATIONS.index(what) % len(SYSTEMS)
     for system in [*SYSTEMS][first:] + [*SYSTEMS][:first]:
         try:

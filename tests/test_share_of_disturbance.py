@@ -1,4 +1,4 @@
-"""What a random disturbance does to the outputs, told from its variance rather than from the noise that it takes up."""
+"""The power that a random disturbance gives the outputs follows from its variance, not from the noise it takes up."""
 
 from __future__ import annotations
 

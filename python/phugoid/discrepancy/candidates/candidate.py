@@ -70,7 +70,7 @@ class Candidate(ABC):
 
     @property
     def begins_measured(self) -> bool:
-        """Whether a fit may begin at the measured motion, since that without the candidate goes where it cannot."""
+        """Tell whether a fit may begin at the measured motion: the one without the candidate goes where it cannot."""
         return False
 
     @property

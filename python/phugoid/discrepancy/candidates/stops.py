@@ -47,7 +47,7 @@ class _StateEffect(Effect):
 
     @property
     def _one_sided(self) -> float:
-        """How many times as many samples there are to be at a limit as at the other end of the range."""
+        """Return how many times as many samples there are to be at a limit as at the other end of the range."""
         return 0.0
 
     @property

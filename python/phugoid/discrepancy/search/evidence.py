@@ -17,7 +17,7 @@ from .refit_cache import RefitCache
 from .ringing import is_near
 from .wandering import wandering
 
-__all__ = ["Assessment", "AssessmentSettings", "Evidence", "is_physical", "is_structured"]
+__all__ = ["Assessment", "AssessmentSettings", "Evidence", "chi_square_quantile", "is_physical", "is_structured"]
 
 # Families of candidates that change in proportion to the time.
 _DRIFTS = ("drift", "variation")
@@ -111,7 +111,7 @@ class Assessment:
         """Twice the gain in log-likelihood that chance reaches with none of all candidates; without a candidate that
         for those with one unknown."""
         unknowns = len(candidate.parameters) if candidate else 1
-        return _quantile(max(unknowns, 1), self.settings.false_alarm / self._tries)
+        return chi_square_quantile(max(unknowns, 1), self.settings.false_alarm / self._tries)
 
     def needed(self, more: Refit, candidate: Candidate) -> float:
         """Twice the gain that a candidate must have: its threshold, and more where the noise goes through the vehicle
@@ -279,7 +279,7 @@ def is_physical(at: Refit, candidate: Candidate) -> bool:
 
 
 @cache
-def _quantile(freedom: int, probability: float) -> float:
+def chi_square_quantile(freedom: int, probability: float) -> float:
     """Return the upper quantile of the chi-square distribution."""
     from scipy.special import chdtri  # not at import: it takes its time
 

@@ -23,7 +23,7 @@ from ...solvers import Newton
 from ..candidates.candidate import unused
 from ..candidates.model_structure import ModelStructure
 from ..candidates.terms import where
-from .evidence import AssessmentSettings
+from .evidence import AssessmentSettings, chi_square_quantile
 from .free_run import Explained, Misfitting, Simulated
 from .refit import BLOCKS, Refit, blocks_of, fitted_to
 from .search import Search, SearchResult
@@ -141,9 +141,7 @@ def record_changes(search: Search, result: SearchResult) -> tuple[Refit | None, 
 
 
 def _threshold(unknowns: int, tries: int) -> float:
-    from scipy.stats import chi2
-
-    return float(chi2.isf(_FALSE_ALARM / tries, unknowns)) / 2.0
+    return chi_square_quantile(unknowns, _FALSE_ALARM / tries) / 2.0
 
 
 def _differing(at: Refit) -> tuple[Refit, list[tuple[_Difference, tuple[str, ...]]]]:

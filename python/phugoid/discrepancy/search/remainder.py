@@ -122,10 +122,13 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
     search.cache.watch("looking for a disturbance in what is left")
     # Beside terms that explain next to nothing, all is as without them.
     options = _options(full if result.final.names else base, known, s, not is_structured(full, s.structure))
-    part = search.assessment.explained(base, result.final) if result.final.names else None
-    if result.final.names and (part is None or part.part < s.most):
+    terms = result.final.candidates
+    part = search.assessment.explained(base, result.final) if terms else None
+    predicts = part is not None and part.part >= s.most and all(c.transferable for c in terms)
+    if terms and not predicts:
         # Beside a disturbance terms must be worth their chances, too; but what predicts data held out in free
-        # simulation, where a random disturbance says nothing, is not replaced by one.
+        # simulation, where a random disturbance says nothing, is not replaced by one. A tone or an event of these
+        # records alone predicts no others.
         alone = _options(base, known, s, not is_structured(base, s.structure))
         if alone[0].disturbance is not None and alone[0].merit > options[0].merit - search.chances(full):
             options = alone

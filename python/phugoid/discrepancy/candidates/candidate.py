@@ -109,7 +109,7 @@ class Candidate(ABC):
 _Self = TypeVar("_Self", bound="Effect")
 
 # Families that are functions of the present value of one variable, other than constants and linear ones.
-_SHAPED = ("square", "cube", "quadratic", "absolute", "sign", "deadband", "saturation")
+_SHAPED = ("square", "cube", "quadratic", "absolute", "root", "sign", "deadband", "saturation")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -310,8 +310,8 @@ _NEAR = 0.05
 
 
 def with_other_centres(candidates: Sequence[Candidate], points: Sequence[Points]) -> list[Candidate]:
-    """Candidates; and those that are centred at a trim once more about zero, where it lies within the record, and about
-    the first values.
+    """Candidates; and those that are centred at a trim once more about zero, where it is no further from the record's
+    values than these vary, and about the first values.
 
     A record does not say where its trim is: the scan does.
     """
@@ -321,7 +321,7 @@ def with_other_centres(candidates: Sequence[Candidate], points: Sequence[Points]
         if not (isinstance(c, Effect) and c.centred):
             continue
         scales, tried = c.scales, [[c.scales.centre(n) for n in c.variables]]
-        zero = [0.0 if scales.crosses(n) else scales.centre(n) for n in c.variables]
+        zero = [0.0 if scales.reaches_zero(n) else scales.centre(n) for n in c.variables]
         first = [
             float(np.mean([of(p.values, n, p, "state, input or quantity")[0] for p in points])) for n in c.variables
         ]

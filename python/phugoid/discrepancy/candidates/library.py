@@ -50,6 +50,7 @@ FAMILIES = (
     "damping",
     "quadratic",
     "absolute",
+    "root",
     "sign",
     "rate",
     "lag",
@@ -86,7 +87,8 @@ def candidates(
 
     In quantities, and in state equations that hold parameters but no such quantity: constant and linear terms,
     squares, products and cubes of states and inputs, linear terms, squares and cubes of declared quantities that stand
-    there and hold no parameters (an angle of slip), x^2 v for rates v, x|x|, |x|, sign(x), first-order lags,
+    there and hold no parameters (an angle of slip), x^2 v for rates v, x|x|, |x|, sign(x), square roots of what can be
+    stored (a level, a pressure), first-order lags,
     friction that is larger at rest, hysteresis, a lightly damped mode, a periodic disturbance. States that go no
     further than a limit. In outputs: bias, scale, drift, delay, lag, clipping, linear terms, squares and products of
     rates, derivatives of rates. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of
@@ -231,6 +233,7 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
     yield from (term("damping, rate first", v, w) for v, w in combinations(states, 2) if v.rate)
     for form in ("cube", "quadratic", "absolute"):
         yield from (term(form, v) for v in variables)
+    yield from (term("root", v) for v in variables if structure.is_store(v))
     yield from (term("sign", v) for v in variables if v.speed or v.kind == "input")
     shown, stem, words = structure.shown(place), _stem(place), where(place)
     for v in variables:

@@ -89,6 +89,13 @@ class ModelStructure:
         symbols = {*self.expression(place).symbols}
         return [Variable(n, n, "quantity") for n in self._defined if n in symbols]
 
+    def is_store(self, variable: Variable) -> bool:
+        """Tell whether a variable may be what a store holds, as a level or a pressure: a state that is no angle, no
+        rate and no position, which is a speed's integral."""
+        unit = self.model.units.get(variable.symbol, "")
+        moves = variable.rate or unit.endswith("/s") or variable.symbol in self._exact
+        return variable.kind == "state" and not moves and unit not in ANGLES
+
     @property
     def acting(self) -> list[str]:
         """Names of the free parameters that act on states, alone or through quantities: a record of its own may have

@@ -149,6 +149,18 @@ class Scales:
             return True
         return min(self.high[name], -self.low[name]) > _CROSSES * (self.high[name] - self.low[name])
 
+    def reaches_zero(self, name: str) -> bool:
+        """Tell whether zero is no further from the values of a variable than these vary: a power of flows, levels and
+        speeds is one of the variable itself, and no constant and linear part make up for the distance to a trim."""
+        if name not in self.low:
+            return True
+        low, high = self.low[name], self.high[name]
+        return max(low, -high) <= high - low
+
+    def is_positive(self, name: str) -> bool:
+        """Tell whether a variable is above zero but for little, as far as is known."""
+        return name not in self.low or (self.low[name] + self.high[name] > 0.0 and not self.crosses(name))
+
 
 def levels_of(values: _Array) -> int:
     """Return the number of levels of what switches between a few, as a relay does; 0 for what takes other values more

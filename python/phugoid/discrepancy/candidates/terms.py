@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._core import Expr
-from ...functions import Table, cos, sin, smooth_abs, smooth_sign
+from ...functions import Table, cos, sin, smooth_abs, smooth_sign, sqrt
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Place, Points
 from .candidate import Effect, ExtensionBuilder, largest_coefficient, place_range
@@ -70,6 +70,14 @@ FORMS: Mapping[str, Form] = {
     ),
     "absolute": Form(
         lambda x, span: smooth_abs(x, _KINK * span), "|{0}|", "abs_{0}", "has a part that goes with the size of {0}"
+    ),
+    # Flow through an orifice, by the head or pressure itself, not about a trim. Its slope is bounded at zero.
+    "root": Form(
+        lambda x, span: x / sqrt(smooth_abs(x, _KINK * span)),
+        "sqrt({0})",
+        "sqrt_{0}",
+        "has a part that goes with the square root of {0} (flow through an orifice)",
+        centred=False,
     ),
     # Friction turns with the motion itself, not about a trim.
     "sign": Form(
@@ -131,6 +139,9 @@ class Term(Effect):
         return Expr(form.make(*factors))
 
     def worthwhile(self) -> bool:
+        if self.form == "root":
+            (x,) = self.variables
+            return super().worthwhile() and self.scales.is_positive(x) and self.scales.reaches_zero(x)
         return super().worthwhile() and (self.form != "sign" or self.scales.crosses(self.variables[0]))
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:

@@ -13,7 +13,7 @@ from ..._core import Expr
 from ...functions import smooth_abs
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Points
-from .candidate import Effect, ExtensionBuilder, place_range
+from .candidate import Effect, ExtensionBuilder, largest_coefficient, place_range
 from .scales import (
     delay_bounds,
     delay_grid,
@@ -37,6 +37,7 @@ __all__ = [
     "InputLag",
     "InputScale",
     "Saturation",
+    "SensorCurve",
     "SensorDelay",
     "SensorLag",
     "SensorScale",
@@ -116,6 +117,32 @@ class SensorScale(Scale):
         k = extension.parameter(self.coefficients[0])
         extension.put(self.place, (1 + k) * extension.at(self.place))
         return extension.model()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SensorCurve(Effect):
+    """y becomes y + c (y - y0)^power: a characteristic that is no straight line."""
+
+    power: int = 2
+    stage: int = 6
+
+    @property
+    def _centre(self) -> float:
+        key = output_key(self.place.name)
+        return 0.0 if self.scales.reaches_zero(key) else self.scales.centre(key)
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        return ((channel(self, points) - self._centre) ** self.power)[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        c, y, centre = extension.parameter(self.coefficients[0]), extension.at(self.place), self._centre
+        extension.put(self.place, y + c * (y - centre if centre else y) ** self.power)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        largest = largest_coefficient(self, {}, points) / 2.0  # a sensor that is bent by half its range is none
+        return {self.coefficients[0]: (-largest, largest)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -23,6 +23,7 @@ from .channel_effects import (
     InputLag,
     InputScale,
     Saturation,
+    SensorCurve,
     SensorDelay,
     SensorLag,
     SensorScale,
@@ -53,6 +54,7 @@ FAMILIES = (
     "root",
     "sign",
     "rate",
+    "curve",
     "lag",
     "delay",
     "deadband",
@@ -88,11 +90,11 @@ def candidates(
     In quantities, and in state equations that hold parameters but no such quantity: constant and linear terms,
     squares, products and cubes of states and inputs, linear terms, squares and cubes of declared quantities that stand
     there and hold no parameters (an angle of slip), x^2 v for rates v, x|x|, |x|, sign(x), square roots of what can be
-    stored (a level, a pressure), first-order lags,
-    friction that is larger at rest, hysteresis, a lightly damped mode, a periodic disturbance. States that go no
-    further than a limit. In outputs: bias, scale, drift, delay, lag, clipping, linear terms, squares and products of
-    rates, derivatives of rates. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of
-    conditions (`Model.conditions`) scale, bias and delay.
+    stored (a level, a pressure), first-order lags, friction that is larger at rest, hysteresis, a lightly damped mode,
+    a periodic disturbance. States that go no further than a limit. In outputs: bias, scale, a characteristic that is
+    not straight, drift, delay, lag, clipping, linear terms, squares and products of rates, derivatives of rates. On
+    inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of conditions (`Model.conditions`)
+    scale, bias and delay.
     Parameters of the state equations may change in the course of a record. What the model's parameters can do already
     is left out, and so is what another candidate says too: names of `FAMILIES` that stand first win.
 
@@ -335,6 +337,14 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
     yield from (term("square", v) for v in rates)
     yield from (term("product", v, w) for v, w in combinations(rates, 2))
     yield from (Rate.of(place, shown, v.symbol, names(f"y_{y}_{v.shown}_dot"), scales) for v in rates)
+    for power, degree in ((2, "square"), (3, "cube")):
+        if power == 3 or y not in {v.shown for v in rates}:  # of a rate there is its square already
+            words = (
+                f"the measurement of {y} has a part that goes with its {degree} (a characteristic that is not straight)"
+            )
+            coefficients, key = (names(f"y_{y}_{y}{power}"),), (output_key(y),)
+            name = f"{shown}:{y}^{power}"
+            yield SensorCurve(name, place, words, "curve", scales, coefficients, variables=key, power=power)
     words = f"the measurement of {y} goes no further than a limit (clipped sensor)"
     yield ClippedSensor(
         f"{shown}:clipped", place, words, "clipped", scales, (), (names(f"limit_{y}"),), variables=(output_key(y),)

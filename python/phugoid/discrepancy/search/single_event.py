@@ -20,6 +20,7 @@ from ...solvers import Newton
 from ...solvers.limits import check_time
 from .disturbance import Disturbance, histories_at
 from .evidence import is_structured
+from .free_run import Misfitting
 from .process_noise import filtered
 from .refit import Refit, fitted_to, on_other_data, values_of
 from .refit_cache import RefitCache
@@ -29,6 +30,8 @@ __all__ = ["is_disturbed", "single_event"]
 # Parts of the squares of a time history that a span holds, of which the first that leaves nothing is the event; and the
 # part of all time that it may take.
 _PARTS, _LONGEST = (0.7, 0.85, 0.95), 0.15
+# Part of the misfit that the records without the span may have: an event is all that was wrong with them, or most of it.
+_LEFT = 0.5
 # Samples of a record before or after the span that are worth an estimation of first states, and iterations of it.
 _SAMPLES, _ITERATIONS = 30, 60
 # Seconds that a fit by the filter-error method may take.
@@ -52,11 +55,18 @@ def single_event(
         if without is None:
             continue
         known = True
-        if is_disturbed(without, of, structure, margin):
+        if is_disturbed(without, of, structure, margin) or _misfit(without, at) > _LEFT * _misfit(at, at):
             continue
         if not cache.validation or not _in_validation(cache, without, of, structure, margin):
             return event, True
     return None, known
+
+
+def _misfit(of: Refit, at: Refit) -> float:
+    """Return the mean squares of residuals that are not noise, in units of the noise that they had at a refit, summed
+    over the outputs."""
+    mine, noise = Misfitting.of(of.linear), Misfitting.of(at.linear)
+    return float(np.sum(mine.powers * mine.parts / np.maximum(noise.powers * (1.0 - noise.parts), 1e-300)))
 
 
 def is_disturbed(at: Refit, of: Disturbance, structure: float, margin: float) -> bool:

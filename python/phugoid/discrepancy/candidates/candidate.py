@@ -69,6 +69,11 @@ class Candidate(ABC):
         return False
 
     @property
+    def jumps(self) -> bool:
+        """Tell whether it jumps along the motion, for which a fit takes many iterations."""
+        return False
+
+    @property
     def begins_measured(self) -> bool:
         """Tell whether a fit may begin at the measured motion: the one without the candidate goes where it cannot."""
         return False

@@ -101,6 +101,10 @@ class Stribeck(Effect):
     def several_starts(self) -> bool:
         return True
 
+    @property
+    def jumps(self) -> bool:
+        return True
+
     def grid(self) -> Iterable[float]:
         return self.scales.peak(self.variables[0]) * np.array([0.02, 0.04, 0.08, 0.15, 0.3])
 

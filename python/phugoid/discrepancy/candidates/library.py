@@ -276,7 +276,7 @@ def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names:
                 (names(f"{stem}_stribeck_{v.shown}"),),
                 (names(f"speed_{stem}_{v.shown}"),),
                 variables=(v.symbol,),
-                beside=f"{shown}:sign({v.shown})",
+                beside="" if structure.has_friction(place, v.symbol) else f"{shown}:sign({v.shown})",
             )
         moves = v.rate or structure.model.units.get(v.symbol, "").endswith("/s")
         if v.kind == "state" and v.symbol in structure.dynamics and not moves:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from ..._core import Expr
@@ -12,6 +13,9 @@ __all__ = ["ANGLES", "ANGULAR_RATES", "ModelStructure", "Variable"]
 
 ANGLES = ("rad", "deg", "°")
 """Units of angles."""
+
+# Functions of angles of attitudes; and those that jump, or are put for a jump.
+_SINES, _JUMPS = ("sin", "cos", "tan"), ("sign", "tanh", "atan")
 
 ANGULAR_RATES = ("rad/s", "deg/s", "°/s", "1/s")
 """Units of angular rates."""
@@ -127,7 +131,11 @@ class ModelStructure:
     def turns_freely(self, name: str) -> bool:
         """Tell whether a state is an angle of which sines or cosines are taken, as of an attitude or of a pendulum."""
         groups = (self.quantities, self.dynamics, self.outputs)
-        return any(_in_sine(e, name) for group in groups for e in group.values() if name in e.symbols)
+        return any(_is_within(e, name, _SINES) for group in groups for e in group.values() if name in e.symbols)
+
+    def has_friction(self, place: Place, name: str) -> bool:
+        """Tell whether a jump with the sign of a rate stands at a place already, sharp or rounded."""
+        return _is_within(self.expression(place), name, _JUMPS)
 
     def _varies(self, quantity: str) -> bool:
         names = {*self.model.state_names, *self.model.declared_inputs, "time"}
@@ -172,8 +180,8 @@ class ModelStructure:
         return f"y:{place.name}" if clash else place.name
 
 
-def _in_sine(e: Expr, name: str) -> bool:
-    """Tell whether a symbol stands within a trigonometric function."""
+def _is_within(e: Expr, name: str, functions: Collection[str]) -> bool:
+    """Tell whether a symbol stands within one of some functions."""
     function, arguments = e.operation
     inside = [a for a in arguments if name in a.symbols]
-    return bool(inside) and (function in ("sin", "cos", "tan") or any(_in_sine(a, name) for a in inside))
+    return bool(inside) and (function in functions or any(_is_within(a, name, functions) for a in inside))

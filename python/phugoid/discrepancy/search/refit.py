@@ -132,7 +132,7 @@ def refit(
         if model.delays:
             model = model._changed(delays=replace(model.delays, settled=_SETTLED, passes=_PASSES))
         from_fit = started_from(near or base, model.parameter_names)
-        patient = patient or not any(c.shape_names for c in candidates)
+        patient = patient or any(c.jumps for c in candidates) or not any(c.shape_names for c in candidates)
         iterations = _FROM_MEASURED if measured else _PATIENT if patient else _ITERATIONS
         fit = estimate(
             model,

@@ -30,7 +30,7 @@ __all__ = ["is_disturbed", "single_event"]
 # Parts of the squares of a time history that a span holds, of which the first that leaves nothing is the event; and the
 # part of all time that it may take.
 _PARTS, _LONGEST = (0.7, 0.85, 0.95), 0.15
-# Part of the misfit that the records without the span may have: an event is all that was wrong with them, or most of it.
+# Part of the misfit that the records without the span may have: an event is most of what is wrong with them.
 _LEFT = 0.5
 # Samples of a record before or after the span that are worth an estimation of first states, and iterations of it.
 _SAMPLES, _ITERATIONS = 30, 60

@@ -104,6 +104,8 @@ def test_the_library_of_the_hfb320_model() -> None:
         "scale": 8,
         "drift": 7,
         "rate": 6,
+        "curve": 13,  # of q its square is there already
+        "ripple": 3,  # of theta they go when a record is there: it is far from half a turn
         "delay": 9,
         "deadband": 2,
         "saturation": 2,

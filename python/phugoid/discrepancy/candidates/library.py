@@ -34,7 +34,7 @@ from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .model_structure import ANGLES, ModelStructure, Variable
 from .scales import Scales, output_key, trim_of
 from .stops import EndStop, StateLimit
-from .terms import FORMS, LaggedVariable, ParameterDrift, Periodic, Rate, Term, where
+from .terms import FORMS, LaggedVariable, ParameterDrift, Periodic, Rate, Ripple, Term, where
 
 __all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]
 
@@ -67,6 +67,7 @@ FAMILIES = (
     "limit",
     "hysteresis",
     "mode",
+    "ripple",
     "periodic",
 )
 # Those with a signal that depends on no shape: only they can be seen to be the same at single points.
@@ -91,10 +92,10 @@ def candidates(
     squares, products and cubes of states and inputs, linear terms, squares and cubes of declared quantities that stand
     there and hold no parameters (an angle of slip), x^2 v for rates v, x|x|, |x|, sign(x), square roots of what can be
     stored (a level, a pressure), first-order lags, friction that is larger at rest, hysteresis, a lightly damped mode,
-    a periodic disturbance. States that go no further than a limit. In outputs: bias, scale, a characteristic that is
-    not straight, drift, delay, lag, clipping, linear terms, squares and products of rates, derivatives of rates. On
-    inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of conditions (`Model.conditions`)
-    scale, bias and delay.
+    what is periodic in a position, a periodic disturbance. States that go no further than a limit. In outputs: bias,
+    scale, a characteristic that is not straight, drift, delay, lag, clipping, linear terms, squares and products of
+    rates, derivatives of rates. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of
+    conditions (`Model.conditions`) scale, bias and delay.
     Parameters of the state equations may change in the course of a record. What the model's parameters can do already
     is left out, and so is what another candidate says too: names of `FAMILIES` that stand first win.
 
@@ -289,6 +290,19 @@ def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names:
                 (names(f"{stem}_hysteresis_{v.shown}"),),
                 (names(f"yield_{stem}_{v.shown}"),),
                 variables=(v.symbol,),
+            )
+    for v in structure.variables:
+        if structure.is_position(v):
+            yield Ripple(
+                f"{shown}:periodic_{v.shown}",
+                place,
+                f"{words} is periodic in {v.shown} (cogging, ripple of a motor or a gear)",
+                "ripple",
+                scales,
+                (names(f"{stem}_sin_{v.shown}"), names(f"{stem}_cos_{v.shown}")),
+                (names(f"wave_number_{stem}_{v.shown}"),),
+                variables=(v.symbol,),
+                angle=structure.model.units.get(v.symbol, "") in ANGLES,
             )
     yield FlexibleMode(
         f"{shown}:mode",

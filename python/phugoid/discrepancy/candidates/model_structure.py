@@ -100,6 +100,11 @@ class ModelStructure:
         moves = variable.rate or unit.endswith("/s") or variable.symbol in self._exact
         return variable.kind == "state" and not moves and unit not in ANGLES
 
+    def is_position(self, variable: Variable) -> bool:
+        """Tell whether a variable is the integral of a speed that is a state, and nothing else."""
+        e = self.dynamics.get(variable.symbol) if variable.kind == "state" else None
+        return e is not None and any(e == Expr.symbol(v.symbol) for v in self.variables if v.kind == "state")
+
     @property
     def acting(self) -> list[str]:
         """Names of the free parameters that act on states, alone or through quantities: a record of its own may have

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from ...sensitivities.trajectory import Place, Points
 from .candidate import Effect, ExtensionBuilder, largest_coefficient, place_range
 from .scales import Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lagged, longest_lag, of
 
-__all__ = ["FORMS", "LaggedVariable", "ParameterDrift", "Periodic", "Rate", "Term", "tabulated", "where"]
+__all__ = ["FORMS", "LaggedVariable", "ParameterDrift", "Periodic", "Rate", "Ripple", "Term", "tabulated", "where"]
 
 _Array = NDArray[np.float64]
 
@@ -24,6 +25,8 @@ _Array = NDArray[np.float64]
 # out 0.5 to 1 % too large, with 0.02 in its place 4 %; with 0.002 Newton's method takes three times the steps where a
 # servo sticks for a third of the time.
 _KINK, _JUMP = 0.003, 0.005
+# Periods over the range of a position, at most; and the range of an angle, in rad, from which on it may have some.
+_RIPPLES, _TURNS = 30, 1.5
 # Nodes beyond those of a table, after which it is the straight line that it is to go on with.
 _BEYOND = 4
 
@@ -280,6 +283,50 @@ class Periodic(Effect):
         lowest, highest = 6.0 * np.pi / scales.duration, 0.5 * np.pi / scales.interval
         a, b = self.coefficients
         return {a: (-largest, largest), b: (-largest, largest), self.shape_names[0]: (lowest, highest)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Ripple(Effect):
+    """a sin(k (x - x0)) + b cos(k (x - x0)) of a position x: cogging and torque ripple of motors, teeth of gears, the
+    pitch of a screw. About the middle x0 of its range phase and wave number are almost independent of each other.
+
+    angle  whether the position is an angle, of which less than a good part of a turn shows none of this.
+    """
+
+    angle: bool = False
+
+    def grid(self) -> Iterable[float]:
+        # Two to a line width, so that no line falls between.
+        periods = np.arange(2.0, 2.0 * _RIPPLES + 1.0) / 2.0
+        return np.asarray(2.0 * np.pi * periods / self.scales.span(self.variables[0]))
+
+    def _angle(self, wave_number: Any, x: Any) -> Any:
+        return wave_number * (x - self.scales.centre(self.variables[0]))
+
+    def worthwhile(self) -> bool:
+        (x,) = self.variables
+        return super().worthwhile() and (not self.angle or self.scales.span(x) > _TURNS)
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        x = of(points.values, self.variables[0], points, "state")
+        angle = self._angle(shape[self.shape_names[0]], x)
+        return np.stack([np.sin(angle), np.cos(angle)])
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        a, b = (extension.parameter(name) for name in self.coefficients)
+        (name,) = self.shape_names
+        values = [shape[name] for shape in self.shapes]
+        k = extension.parameter(name, values[0], bounds=(0.5 * min(values), 1.2 * max(values)))
+        angle = Expr(self._angle(k, Expr.symbol(self.variables[0])))
+        extension.put(self.place, extension.at(self.place) + a * sin(angle) + b * cos(angle))
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        largest = place_range(self.place, points)
+        a, b = self.coefficients
+        waves = [shape[self.shape_names[0]] for shape in self.shapes]
+        return {a: (-largest, largest), b: (-largest, largest), self.shape_names[0]: (min(waves), max(waves))}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

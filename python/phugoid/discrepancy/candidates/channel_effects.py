@@ -36,7 +36,6 @@ __all__ = [
     "InputDelay",
     "InputLag",
     "InputScale",
-    "RectifiedSensor",
     "Saturation",
     "SensorCurve",
     "SensorDelay",
@@ -48,8 +47,6 @@ _Array = NDArray[np.float64]
 
 # A sensor or actuator whose scale is wrong by more was never calibrated.
 _SCALE = 0.3
-# Part of its range over which the kink of a sensor that has no sign is rounded.
-_KINK = 0.003
 
 
 def channel(effect: Effect, points: Points) -> _Array:
@@ -146,33 +143,6 @@ class SensorCurve(Effect):
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         largest = largest_coefficient(self, {}, points) / 2.0  # a sensor that is bent by half its range is none
         return {self.coefficients[0]: (-largest, largest)}
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class RectifiedSensor(Effect):
-    """y becomes y + c (|y| - y): with c = 1 it has no sign, as of a pulse counter, or of a speed by the pressure."""
-
-    stage: int = 6
-
-    @property
-    def _width(self) -> float:
-        return _KINK * self.scales.span(output_key(self.place.name))
-
-    def worthwhile(self) -> bool:
-        return super().worthwhile() and self.scales.crosses(output_key(self.place.name))
-
-    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
-        y = channel(self, points)
-        return (np.hypot(y, self._width) - y)[np.newaxis]
-
-    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = ExtensionBuilder(model, self, start)
-        c, y = extension.parameter(self.coefficients[0]), extension.at(self.place)
-        extension.put(self.place, y + c * (smooth_abs(y, self._width) - y))
-        return extension.model()
-
-    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        return {self.coefficients[0]: (0.0, 1.5)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

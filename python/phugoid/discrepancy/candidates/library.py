@@ -22,7 +22,6 @@ from .channel_effects import (
     InputDelay,
     InputLag,
     InputScale,
-    RectifiedSensor,
     Saturation,
     SensorCurve,
     SensorDelay,
@@ -360,9 +359,6 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
             coefficients, key = (names(f"y_{y}_{y}{power}"),), (output_key(y),)
             name = f"{shown}:{y}^{power}"
             yield SensorCurve(name, place, words, "curve", scales, coefficients, variables=key, power=power)
-    words = f"the measurement of {y} has no sign (it gives its size)"
-    without_sign = (names(f"y_{y}_abs_{y}"),)
-    yield RectifiedSensor(f"{shown}:|{y}|", place, words, "curve", scales, without_sign, variables=(output_key(y),))
     words = f"the measurement of {y} goes no further than a limit (clipped sensor)"
     yield ClippedSensor(
         f"{shown}:clipped", place, words, "clipped", scales, (), (names(f"limit_{y}"),), variables=(output_key(y),)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import phugoid as ph
+from phugoid.sensitivities.trajectory import shown_by_outputs
 
 _Array = np.ndarray
 
@@ -103,3 +104,39 @@ def test_cogging_of_a_motor_is_named_with_its_pitch() -> None:
     assert found.cause == "v':periodic_x", d.summary()
     wave_number = next(value for n, (value, _) in found.parameters.items() if n.startswith("wave_number"))
     assert 2.0 * np.pi / wave_number == pytest.approx(12.0, rel=0.01)
+
+
+def shaker_model() -> ph.Model:
+    """Its accelerometer is written out, as who reads the sensors' equations from left to right does."""
+    m = ph.Model("shaker")
+    x, v = m.states(x="m", v="m/s")
+    (force,) = m.inputs(force="N")
+    k, c, b = m.parameters(k=150.0, c=3.0, b=0.04)
+    m.dynamics(x=v, v=b * force - c * v - k * x)
+    m.outputs(x=x, a=(-k * x - c * v + b * force, "m/s²"))
+    return m
+
+
+def shaker(seed: int, name: str) -> ph.Experiment:
+    """A mass on a spring that hardens."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 8.0, 0.01)
+    force = 60.0 * np.convolve(steps(rng, t, -1.0, 1.0, 0.25), np.full(20, 0.05), "same")
+
+    def rate(x: _Array, u: float) -> _Array:
+        return np.array([x[1], 0.05 * u - 4.0 * x[1] - 200.0 * x[0] - 1.2e5 * x[0] ** 3])
+
+    path = integrated(rate, np.zeros(2), t, force)
+    a = np.array([rate(p, u)[1] for p, u in zip(path, force, strict=True)])
+    outputs = {"x": path[:, 0] + 2e-4 * rng.standard_normal(t.size), "a": a + 0.1 * rng.standard_normal(t.size)}
+    return ph.Experiment(t, {"force": force}, outputs, name=name, interpolation="hold")
+
+
+def test_a_force_that_is_missing_is_missing_in_the_accelerometer_too() -> None:
+    m = shaker_model()
+    assert shown_by_outputs(m._right_hand_sides(), m.parameter_names) == {"v": {"a": pytest.approx(1.0)}}
+    d = ph.diagnose(ph.estimate(m, shaker(7, "one")), validation=shaker(8, "other"))
+    (found,) = named(d)
+    assert found.cause == "v':x^3", d.summary()
+    assert found.coefficient == pytest.approx(-1.2e5, rel=0.03)
+    after = d.extend().gain.held_out_rms_after
+    assert after["x"] < 2.2e-4 and after["a"] < 0.11

@@ -15,7 +15,7 @@ from ...errors import ModelError, did_you_mean
 from ...modelling.declared import Key
 from ...modelling.model import Model
 from ...parameters import Parameter
-from ...sensitivities.trajectory import Place, Points
+from ...sensitivities.trajectory import Place, Points, shown_by_outputs
 from .scales import Scales, of
 
 __all__ = [
@@ -250,6 +250,14 @@ class ExtensionBuilder:
         """Another expression at a place."""
         self.at(place)
         self.equations[place.kind, place.name] = Expr(e)
+
+    def add(self, place: Place, e: Any) -> None:
+        """Add an expression at a place; what is added to an equation is seen by outputs that show its rate, too."""
+        shown = shown_by_outputs(self.equations, self.old.parameter_names) if place.kind == "equation" else {}
+        for output, multiple in shown.get(place.name, {}).items():
+            key = ("output", output)
+            self.equations[key] = self.equations[key] + (e if multiple == 1.0 else multiple * e)
+        self.put(place, self.at(place) + e)
 
     def replace_input(self, name: str, by: Any) -> None:
         """Put an expression for an input wherever it stands."""

@@ -208,7 +208,7 @@ class EndStop(_StateEffect):
         c = extension.parameter(name, bounds=(0.0, most))
         limit, side = self._limit(extension)
         loss = extension.parameter(self.shape_names[1], _LITTLE * self._most_loss(), bounds=(0.0, self._most_loss()))
-        extension.put(self.place, extension.at(self.place) - side * c * self._force(limit, side, loss))
+        extension.add(self.place, -side * c * self._force(limit, side, loss))
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:

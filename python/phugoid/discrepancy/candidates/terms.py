@@ -155,7 +155,7 @@ class Term(Effect):
         c = extension.parameter(self.coefficients[0], unit=self.unit)
         e = self.expression
         term = c if e.constant == 1.0 else c * e
-        extension.put(self.place, extension.at(self.place) + term)
+        extension.add(self.place, term)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
@@ -205,7 +205,7 @@ class Rate(Effect):
         extension = ExtensionBuilder(model, self, start)
         rate = extension.at(Place("equation", self.variables[0]))
         c = extension.parameter(self.coefficients[0])
-        extension.put(self.place, extension.at(self.place) + c * rate)
+        extension.add(self.place, c * rate)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
@@ -238,7 +238,7 @@ class LaggedVariable(Effect):
         tau = extension.parameter(tau_name, self.shapes[len(self.shapes) // 2][tau_name], **options)
         u = Expr.symbol(variable)
         lag = extension.state(f"{variable}_lag", model.units.get(variable, ""), lambda z: (u - z) / tau, u)
-        extension.put(self.place, extension.at(self.place) + c * lag)
+        extension.add(self.place, c * lag)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
@@ -273,7 +273,7 @@ class Periodic(Effect):
         bounds = (0.5 * np.pi / self.scales.duration, 0.7 * np.pi / self.scales.interval)
         w = extension.parameter(name, self.shapes[0][name], bounds=bounds, unit="rad/s")
         angle = w * (Expr.symbol("time") - self._middle())
-        extension.put(self.place, extension.at(self.place) + a * sin(angle) + b * cos(angle))
+        extension.add(self.place, a * sin(angle) + b * cos(angle))
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
@@ -319,7 +319,7 @@ class Ripple(Effect):
         values = [shape[name] for shape in self.shapes]
         k = extension.parameter(name, values[0], bounds=(0.5 * min(values), 1.2 * max(values)))
         angle = Expr(self._angle(k, Expr.symbol(self.variables[0])))
-        extension.put(self.place, extension.at(self.place) + a * sin(angle) + b * cos(angle))
+        extension.add(self.place, a * sin(angle) + b * cos(angle))
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:

@@ -15,7 +15,8 @@ import numpy as np
 
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
-from ...fit_result import FitResult, Record, dataset
+from ...fit_result import FitResult, dataset
+from ...records import Record
 from ...simulation import simulate
 from .evidence import is_structured
 from .refit import Refit, fitted_to, values_of

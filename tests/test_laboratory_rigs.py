@@ -140,3 +140,28 @@ def test_a_force_that_is_missing_is_missing_in_the_accelerometer_too() -> None:
     assert found.coefficient == pytest.approx(-1.2e5, rel=0.03)
     after = d.extend().gain.held_out_rms_after
     assert after["x"] < 2.2e-4 and after["a"] < 0.11
+
+
+def drive(seed: int, name: str) -> ph.Experiment:
+    """A motor whose driver limits the current."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 8.0, 0.01)
+    u = steps(rng, t, -8.0, 8.0, 0.5)
+
+    def rate(w: _Array, u: float) -> _Array:
+        return 60.0 * np.clip(u - 0.1 * w, -5.0, 5.0)
+
+    (w,) = integrated(rate, np.zeros(1), t, u).T
+    return ph.Experiment(t, {"u": u}, {"w": w + 0.3 * rng.standard_normal(t.size)}, name=name, interpolation="hold")
+
+
+def test_a_limited_torque_is_named() -> None:
+    m = ph.Model("drive")
+    (w,) = m.states(w="rad/s")
+    (u,) = m.inputs(u="V")
+    a, b = m.parameters(a=3.0, b=30.0)
+    m.dynamics(w=b * u - a * w)
+    m.outputs(w=w)
+    d = ph.diagnose(ph.estimate(m, drive(9, "one")), validation=drive(10, "other"))
+    (found,) = named(d)
+    assert found.cause == "w':saturation", d.summary()
+    assert found.coefficient == pytest.approx(300.0, rel=0.02)

@@ -33,7 +33,7 @@ from .directions import Directions
 from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .model_structure import ANGLES, ModelStructure, Variable
 from .scales import Scales, output_key, trim_of
-from .stops import EndStop, StateLimit
+from .stops import EndStop, LimitedForce, StateLimit
 from .terms import FORMS, LaggedVariable, ParameterDrift, Periodic, Rate, Ripple, Term, where
 
 __all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]
@@ -92,10 +92,10 @@ def candidates(
     squares, products and cubes of states and inputs, linear terms, squares and cubes of declared quantities that stand
     there and hold no parameters (an angle of slip), x^2 v for rates v, x|x|, |x|, sign(x), square roots of what can be
     stored (a level, a pressure), first-order lags, friction that is larger at rest, hysteresis, a lightly damped mode,
-    what is periodic in a position, a periodic disturbance. States that go no further than a limit. In outputs: bias,
-    scale, a characteristic that is not straight, drift, delay, lag, clipping, linear terms, squares and products of
-    rates, derivatives of rates. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of
-    conditions (`Model.conditions`) scale, bias and delay.
+    what is periodic in a position, a periodic disturbance, a limit of the whole where an input stands in it. States
+    that go no further than a limit. In outputs: bias, scale, a characteristic that is not straight, drift, delay, lag,
+    clipping, linear terms, squares and products of rates, derivatives of rates. On inputs: scale, bias, dead-band,
+    saturation, backlash, limited rate, lag, delay; of conditions (`Model.conditions`) scale, bias and delay.
     Parameters of the state equations may change in the course of a record. What the model's parameters can do already
     is left out, and so is what another candidate says too: names of `FAMILIES` that stand first win.
 
@@ -304,6 +304,16 @@ def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names:
                 variables=(v.symbol,),
                 angle=structure.model.units.get(v.symbol, "") in ANGLES,
             )
+    if any(v.kind == "input" and v.symbol in structure.expression(place).symbols for v in structure.variables):
+        yield LimitedForce(
+            f"{shown}:saturation",
+            place,
+            f"{words} comes to no more than a limit either way (a limited current, force or traction)",
+            "saturation",
+            scales,
+            (),
+            (names(f"saturation_{stem}"),),
+        )
     yield FlexibleMode(
         f"{shown}:mode",
         place,

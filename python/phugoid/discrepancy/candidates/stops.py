@@ -1,4 +1,4 @@
-"""States that go no further than a limit: an overflow, an end stop."""
+"""States that go no further than a limit: an overflow, an end stop; and forces that come to no more than one."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ from ...sensitivities.trajectory import Points
 from .candidate import Effect, ExtensionBuilder
 from .scales import evaluated, of, rate_key
 
-__all__ = ["EndStop", "StateLimit"]
+__all__ = ["EndStop", "LimitedForce", "StateLimit"]
 
 _Array = NDArray[np.float64]
 
 # A limit is rounded over this part of the range of the state, its rate over that of its rate.
 _CORNER, _RATE = 0.004, 0.003
+# Part of the peak of a force over which its limit is rounded.
+_FORCE = 0.01
 # Widths of the corner before the limit, at which a step is half done.
 _CLOSED = 2.5
 # Parts of the range, from either end, at which a limit is looked for, and how far outside of it it may be.
@@ -138,6 +140,48 @@ class StateLimit(_StateEffect):
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         return {self.shape_names[0]: self._reached(points)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LimitedForce(Effect):
+    """A force, or a rate, that comes to no more than a limit either way: the current of a drive, the traction of a
+    tyre, the thrust of a motor. Corners are rounded as those of an input that saturates."""
+
+    stage: int = 5
+
+    @property
+    def _peak(self) -> float:
+        low, high = (group.get(self._key, 1.0) for group in (self.scales.low, self.scales.high))
+        return max(abs(low), abs(high)) or 1.0
+
+    @property
+    def _width(self) -> float:
+        return _FORCE * self._peak
+
+    @property
+    def _key(self) -> str:
+        return rate_key(self.place.name) if self.place.kind == "equation" else self.place.name
+
+    def grid(self) -> Iterable[float]:
+        return self._peak * np.array([0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2])
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        group = points.rates if self.place.kind == "equation" else points.values
+        force, limit = of(group, self.place.name, points, "rate or quantity"), shape[self.shape_names[0]]
+        within = 0.5 * (np.hypot(force + limit, self._width) - np.hypot(force - limit, self._width))
+        return (within - force)[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        peak, unit = self._peak, model.units.get(self.place.name, "") if self.place.kind == "quantity" else ""
+        limit = extension.parameter(self.shape_names[0], 0.9 * peak, bounds=(0.0, 2.0 * peak), unit=unit)
+        force = extension.at(self.place)
+        within = 0.5 * (smooth_abs(force + limit, self._width) - smooth_abs(force - limit, self._width))
+        extension.add(self.place, within - force)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        return {self.shape_names[0]: (0.1 * self._peak, self._peak)}
 
 
 def _crowded(z: _Array) -> tuple[float, float, float]:

@@ -48,7 +48,7 @@ class AssessmentSettings:
     clear: float = 1.5
     half: float = 0.5
     minor: float = 0.05
-    error: float = 0.95
+    error: float = 0.8
     most: float = 0.5
 
 

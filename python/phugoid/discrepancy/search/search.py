@@ -27,7 +27,7 @@ class SearchSettings:
     """Settings of all stages, and ``most`` findings: what is left then is for another diagnosis, of the extended
     model. The search ends after ``minor`` steps one after the other that explain next to nothing. Where the screen
     proposes nothing that is confirmed, though this part of the residuals' power, ``error``, is predictable, constants
-    and linear terms are tried all."""
+    and linear terms are tried all; where no more than ``structure`` is, nothing is unexplained."""
 
     screen: ScreenSettings = field(default_factory=ScreenSettings)
     refitting: RefittingSettings = field(default_factory=RefittingSettings)
@@ -36,6 +36,7 @@ class SearchSettings:
     most: int = 4
     minor: int = 2
     error: float = 0.5
+    structure: float = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +131,8 @@ class Search:
                 if minor == self.settings.minor:  # what comes next would be less
                     break
             current = self._pruned(current)
+            if not is_structured(current, self.settings.structure):
+                unexplained = None  # what is left passes for noise
             unexplained = unexplained or self.confirmation.ringing(current)
             left = self.cache.ringing(current)
             if left and not (unexplained and unexplained.ringing):

@@ -94,8 +94,9 @@ def candidates(
     stored (a level, a pressure), first-order lags, friction that is larger at rest, hysteresis, a lightly damped mode,
     what is periodic in a position, a periodic disturbance, a limit of the whole where an input stands in it. States
     that go no further than a limit. In outputs: bias, scale, a characteristic that is not straight, drift, delay, lag,
-    clipping, linear terms, squares and products of rates, derivatives of rates. On inputs: scale, bias, dead-band,
-    saturation, backlash, limited rate, lag, delay; of conditions (`Model.conditions`) scale, bias and delay.
+    clipping, linear terms, squares and products of rates, derivatives of rates, lags of inputs that act at once. On
+    inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of conditions (`Model.conditions`)
+    scale, bias and delay.
     Parameters of the state equations may change in the course of a record. What the model's parameters can do already
     is left out, and so is what another candidate says too: names of `FAMILIES` that stand first win.
 
@@ -239,17 +240,7 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
     yield from (term("root", v) for v in variables if structure.is_store(v))
     yield from (term("sign", v) for v in variables if v.speed or v.kind == "input")
     shown, stem, words = structure.shown(place), _stem(place), where(place)
-    for v in variables:
-        yield LaggedVariable(
-            f"{shown}:lag_{v.shown}",
-            place,
-            f"{words} follows {v.shown} with a lag (unsteady effect)",
-            "lag",
-            scales,
-            (names(f"{stem}_lag_{v.shown}"),),
-            (names(f"tau_{stem}_{v.shown}"),),
-            variables=(v.symbol,),
-        )
+    yield from (_lagged(structure, place, v, scales, names) for v in variables)
     yield from _with_memory(structure, place, scales, names)
     coefficients = names(f"{stem}_sin"), names(f"{stem}_cos")
     yield Periodic(
@@ -260,6 +251,22 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
         scales,
         coefficients,
         (names(f"{stem}_frequency"),),
+    )
+
+
+def _lagged(
+    structure: ModelStructure, place: Place, variable: Variable, scales: Scales, names: _Names
+) -> LaggedVariable:
+    shown, stem = structure.shown(place), _stem(place)
+    return LaggedVariable(
+        f"{shown}:lag_{variable.shown}",
+        place,
+        f"{where(place)} follows {variable.shown} with a lag (unsteady effect)",
+        "lag",
+        scales,
+        (names(f"{stem}_lag_{variable.shown}"),),
+        (names(f"tau_{stem}_{variable.shown}"),),
+        variables=(variable.symbol,),
     )
 
 
@@ -369,6 +376,10 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
             coefficients, key = (names(f"y_{y}_{y}{power}"),), (output_key(y),)
             name = f"{shown}:{y}^{power}"
             yield SensorCurve(name, place, words, "curve", scales, coefficients, variables=key, power=power)
+    # Where an input acts on an output at once, a part of it may act through dynamics that the model has not.
+    at_once = {*structure.expression(place).symbols}
+    inputs = [v for v in structure.variables if v.kind == "input" and v.symbol in at_once]
+    yield from (_lagged(structure, place, v, scales, names) for v in inputs)
     words = f"the measurement of {y} goes no further than a limit (clipped sensor)"
     yield ClippedSensor(
         f"{shown}:clipped", place, words, "clipped", scales, (), (names(f"limit_{y}"),), variables=(output_key(y),)

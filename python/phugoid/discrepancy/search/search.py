@@ -26,8 +26,9 @@ __all__ = ["Search", "SearchResult", "SearchSettings"]
 class SearchSettings:
     """Settings of all stages, and ``most`` findings: what is left then is for another diagnosis, of the extended
     model. The search ends after ``minor`` steps one after the other that explain next to nothing. Where the screen
-    proposes nothing that is confirmed, though this part of the residuals' power, ``error``, is predictable, constants
-    and linear terms are tried all; where no more than ``structure`` is, nothing is unexplained."""
+    proposes nothing that is confirmed, though the part ``error`` of the residuals' power is predictable, constants and
+    linear terms are tried all, and where the part ``doubt`` is, twice as many as the screen proposes. Where no more
+    than ``structure`` is predictable, nothing is unexplained."""
 
     screen: ScreenSettings = field(default_factory=ScreenSettings)
     refitting: RefittingSettings = field(default_factory=RefittingSettings)
@@ -36,6 +37,7 @@ class SearchSettings:
     most: int = 4
     minor: int = 2
     error: float = 0.5
+    doubt: float = 0.3
     structure: float = 0.05
 
 
@@ -123,6 +125,8 @@ class Search:
                 if following is None and not current.candidates and is_structured(current, self.settings.error):
                     # What a candidate does to first order says little of what a fit with it does.
                     following, _ = self.confirmation.accepted(current, self.refitting.tries(current, simple=True))
+                if following is None and not current.candidates and is_structured(current, self.settings.doubt):
+                    following, _ = self.confirmation.accepted(current, self.refitting.tries(current, times=2))
                 if following is None or following.names in seen:
                     break
                 seen.add(following.names)

@@ -180,6 +180,8 @@ _SAME, _OFTEN, _PASSING = 1e-3, 0.05, 0.1
 # Transport delays of actuators, air data and telemetry; slower ones would have been noticed.
 _DELAY = 0.3
 _FREQUENCIES = 200
+# Part of a record that a delay may last where that is longer: transport along pipes, wind from a mast to a rotor.
+_SLOW = 0.02
 # Times of a motion that is simulated, at most.
 _FINEST = 200_000
 
@@ -191,9 +193,9 @@ def _longest_delay(duration: float, interval: float) -> float:
 
 
 def longest_delay(points: Sequence[Points]) -> float:
-    """Return the longest physical delay, s."""
+    """Return the longest physical delay, s: in long records of slow systems, longer than is looked for."""
     scales = Scales.of(points)
-    return _longest_delay(scales.duration, scales.interval)
+    return max(_longest_delay(scales.duration, scales.interval), _SLOW * scales.duration)
 
 
 def longest_lag(points: Sequence[Points]) -> float:

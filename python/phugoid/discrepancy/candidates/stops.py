@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from ..._core import Expr
 from ...functions import smooth_abs, smooth_step
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Points
-from .candidate import Effect, ExtensionBuilder
+from .candidate import Candidate, Effect, ExtensionBuilder
 from .scales import evaluated, of, rate_key
 
 __all__ = ["EndStop", "LimitedForce", "StateLimit"]
@@ -207,10 +207,32 @@ class EndStop(_StateEffect):
     """A position that meets a stop: beyond the limit a stiff spring with losses acts on its rate, c d (1 + b d') with d
     = x - limit, which only pushes (Hunt and Crossley 1975, exponent 1). With great losses the position stays there.
 
-    ``speed``: the state that is the rate of the position.
+    speed       the state that is the rate of the position.
+    both_sides  whether there is another stop as far on the other side of zero.
     """
 
     speed: str = ""
+    both_sides: bool = False
+
+    def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
+        return () if self.both_sides or not self.scales.crosses(self._x) else (replace(self, both_sides=True),)
+
+    def grid(self) -> Iterable[float]:
+        if not self.both_sides:
+            return super().grid()
+        return [float(x) for x in max(abs(x) for x in self._span()) * (1.0 - 2.0 * _PARTS)]
+
+    def _side(self, limit: float) -> float:
+        return 1.0 if self.both_sides else super()._side(limit)
+
+    def reachable(self, states: Mapping[str, _Array], start: Mapping[str, float]) -> Mapping[str, _Array]:
+        name = self.shape_names[0]
+        if self.both_sides and name in start:
+            return {self._x: np.clip(states[self._x], -abs(start[name]), abs(start[name]))}
+        return super().reachable(states, start)
+
+    def suggested(self, measured: Mapping[str, Sequence[_Array]]) -> Mapping[str, float] | None:
+        return None if self.both_sides else super().suggested(measured)
 
     @property
     def begins_measured(self) -> bool:
@@ -221,7 +243,12 @@ class EndStop(_StateEffect):
         return _RESTS
 
     def _force(self, limit: Any, side: float, loss: Any) -> Expr:
-        """Return the force of a spring of unit stiffness, towards the stop."""
+        """Return the force of springs of unit stiffness on the position."""
+        upper = -side * self._push(limit, side, loss)
+        return Expr(upper + self._push(-limit, -side, loss)) if self.both_sides else Expr(upper)
+
+    def _push(self, limit: Any, side: float, loss: Any) -> Expr:
+        """Return the force of a spring of unit stiffness, away from the stop."""
         distance = side * (Expr.symbol(self._x) - limit)
         beyond = 0.5 * (distance + smooth_abs(distance, self._corner))
         push = 1.0 + side * loss * Expr.symbol(self.speed)
@@ -240,7 +267,7 @@ class EndStop(_StateEffect):
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         limit, *more = (shape[n] for n in self.shape_names if n in shape)
         side = self._side(limit)
-        return -side * evaluated(self._force(limit, side, more[0] if more else 0.0), points)[np.newaxis]
+        return evaluated(self._force(limit, side, more[0] if more else 0.0), points)[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
@@ -252,7 +279,7 @@ class EndStop(_StateEffect):
         c = extension.parameter(name, bounds=(0.0, most))
         limit, side = self._limit(extension)
         loss = extension.parameter(self.shape_names[1], _LITTLE * self._most_loss(), bounds=(0.0, self._most_loss()))
-        extension.add(self.place, -side * c * self._force(limit, side, loss))
+        extension.add(self.place, c * self._force(limit, side, loss))
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:

@@ -23,8 +23,9 @@ _Array = NDArray[np.float64]
 
 # The state that follows the command settles within so many intervals of the mesh: less would be stiff for it.
 _SETTLES = 1.5
-# Corners are rounded over this part of the range of the command.
-_CORNER = 0.003
+# Corners are rounded over this part of the range of the command, and of a play that is small beside it; over no less than
+# the last part of that range.
+_CORNER, _OF_PLAY, _SHARPEST = 0.003, 0.1, 1e-4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,6 +33,10 @@ class _Follower(Effect):
     """A state z that follows the input u with a short time constant, and acts in its place."""
 
     stage: int = 3
+
+    @property
+    def jumps(self) -> bool:
+        return True
 
     @property
     def several_starts(self) -> bool:
@@ -49,11 +54,11 @@ class _Follower(Effect):
         """Return (n,) what acts for an input (n,) at times (n,), z = u at first."""
         raise NotImplementedError
 
-    def slope(self, error: Expr, size: Expr) -> Expr:
-        """Return z' for u - z."""
+    def slope(self, error: Expr, size: Expr, first: float) -> Expr:
+        """Return z' for u - z; the size starts at ``first``."""
         raise NotImplementedError
 
-    def acting(self, z: Expr, u: Expr, size: Expr) -> Expr:
+    def acting(self, z: Expr, slope: Expr) -> Expr:
         """Return what acts on the vehicle."""
         return z
 
@@ -72,13 +77,12 @@ class _Follower(Effect):
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
         (name,) = self.shape_names
-        first = self.shapes[len(self.shapes) // 2][name]
+        first = float(extension.start.get(name, self.shapes[len(self.shapes) // 2][name]))
         size = extension.parameter(name, first, **self.declared(model))
         u = Expr.symbol(self.place.name)
         unit = model.units.get(self.place.name, "")
-        z = extension.state(self._state, unit, lambda z: self.slope(u - z, size), u)
-        # The state settles a little late; where it will settle acts at once.
-        extension.replace_input(self.place.name, self.acting(z, u, size))
+        z = extension.state(self._state, unit, lambda z: self.slope(u - z, size, first), u)
+        extension.replace_input(self.place.name, self.acting(z, self.slope(u - z, size, first)))
         return extension.model()
 
 
@@ -97,15 +101,16 @@ class Backlash(_Follower):
             z[k] = now
         return z
 
-    def slope(self, error: Expr, size: Expr) -> Expr:
+    def slope(self, error: Expr, size: Expr, first: float) -> Expr:
         # Within the play nothing creeps but for exponentially little: records are many time constants long.
-        width = _CORNER * self.scales.span(self.place.name)
+        span = self.scales.span(self.place.name)
+        width = max(min(_CORNER * span, _OF_PLAY * first), _SHARPEST * span)
         above, below = error - size, error + size
         return Expr((above * smooth_step(above, width) + below * smooth_step(-below, width)) / self._tau)
 
-    def acting(self, z: Expr, u: Expr, size: Expr) -> Expr:
+    def acting(self, z: Expr, slope: Expr) -> Expr:
         # The state settles a little late; where it will settle acts at once.
-        return Expr(z + self._tau * self.slope(u - z, size))
+        return Expr(z + self._tau * slope)
 
     def declared(self, model: Model) -> dict[str, Any]:
         return {"bounds": (0.0, self.scales.span(self.place.name)), "unit": model.units.get(self.place.name, "")}
@@ -131,7 +136,7 @@ class RateLimit(_Follower):
             z[k] = now
         return z
 
-    def slope(self, error: Expr, size: Expr) -> Expr:
+    def slope(self, error: Expr, size: Expr, first: float) -> Expr:
         return Expr(size * tanh(error / (size * self._tau)))
 
     def declared(self, model: Model) -> dict[str, Any]:

@@ -336,7 +336,7 @@ def on_other_data(
     mesh = mesh_for(fit, data)
     starts: list[FitResult | dict[str, float]] = [{n: float(np.mean(v)) for n, v in known.items() if v}]
     if near is not None:  # its path may be out of reach of this model: then the measured one
-        starts.insert(0, started_from(near.fit, ()))
+        starts.insert(0, _with_paths(started_from(near.fit, ()), refit.candidates, near.points, values))
     for start in starts:
         solver = Newton(time_limit=max(_ELSEWHERE, _TIMES * fit.time))
         found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)

@@ -23,8 +23,8 @@ _Array = NDArray[np.float64]
 
 # The state that follows the command settles within so many intervals of the mesh: less would be stiff for it.
 _SETTLES = 1.5
-# Corners are rounded over this part of the range of the command, and of a play that is small beside it; over no less than
-# the last part of that range.
+# Corners are rounded over this part of the range of the command, and of a play that is small beside it, but over the
+# last part of that range at least.
 _CORNER, _OF_PLAY, _SHARPEST = 0.003, 0.1, 1e-4
 
 

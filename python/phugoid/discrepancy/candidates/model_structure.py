@@ -107,14 +107,15 @@ class ModelStructure:
 
     @property
     def acting(self) -> list[str]:
-        """Names of the free parameters that act on states, alone or through quantities: a record of its own may have
-        others of them."""
+        """Names of the free parameters that act on states, alone or through quantities, or multiply what varies in an
+        output, as a resistance does: a record of its own may have others of them."""
         by_name = {**self.quantities}
         inside: dict[str, set[str]] = {}
         for name, e in by_name.items():
             inside[name] = {*e.symbols}.union(*(inside[s] for s in e.symbols if s in inside))
         seen = {s for e in self.dynamics.values() for s in e.symbols}
         seen = seen.union(*(inside[s] for s in seen if s in inside))
+        seen = seen.union(*({n for n in self._parameters if self._multiplies(n, e)} for e in self.outputs.values()))
         declared = self.model.declared_parameters
         return [
             n for n in self.model.parameter_names if n in seen and not (declared[n].fixed or declared[n].per_experiment)
@@ -141,6 +142,11 @@ class ModelStructure:
     def has_friction(self, place: Place, name: str) -> bool:
         """Tell whether a jump with the sign of a rate stands at a place already, sharp or rounded."""
         return _is_within(self.expression(place), name, _JUMPS)
+
+    def _multiplies(self, parameter: str, e: Expr) -> bool:
+        """Tell whether a parameter multiplies something that varies in an output."""
+        slope = Expr(e.diff(parameter)) if parameter in e.symbols else Expr(0.0)
+        return any(n in slope.symbols for n in (*self.model.state_names, *self.model.declared_inputs))
 
     def _varies(self, quantity: str) -> bool:
         names = {*self.model.state_names, *self.model.declared_inputs, "time"}

@@ -141,7 +141,7 @@ class ModelStructure:
 
     def has_friction(self, place: Place, name: str) -> bool:
         """Tell whether a jump with the sign of a rate stands at a place already, sharp or rounded."""
-        return _is_within(self.expression(place), name, _JUMPS)
+        return _is_within(self.expression(place).simplify(), name, _JUMPS)
 
     def _multiplies(self, parameter: str, e: Expr) -> bool:
         """Tell whether a parameter multiplies something that varies in an output."""

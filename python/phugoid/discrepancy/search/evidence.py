@@ -15,6 +15,7 @@ from .free_run import Explained, Misfitting, Simulated
 from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, predicted_blocks, predicted_from_blocks
 from .refit_cache import RefitCache
 from .ringing import is_near
+from .simplest import RICH, complexity
 from .wandering import wandering
 
 __all__ = ["Assessment", "AssessmentSettings", "Evidence", "chi_square_quantile", "is_physical", "is_structured"]
@@ -142,7 +143,9 @@ class Assessment:
         new = more.beside(base.candidates)
         inflation = max((more.inflation(c) for c in new), default=1.0)
         whitened = 2.0 * min((more.own.merit - base.own.merit) / inflation, more.merit - base.merit)
-        if whitened > self.threshold() or not (new and all(c.transferable for c in new)):
+        # What has several unknowns or a state of its own follows much in residuals that are no noise.
+        plain = all(c.transferable and complexity(c) < RICH for c in new)
+        if whitened > self.threshold() or not new or not plain:
             return whitened
         return max(whitened, self._gain_in_error(base, more))
 

@@ -14,7 +14,7 @@ __all__ = ["RICH", "complexity", "is_as_good", "is_equal", "plausibility"]
 
 # A constant before a linear term before any other, and those with states of their own or two unknowns last.
 RICH = 3
-_ORDER = {"bias": 0, "linear": 1, "scale": 1, "stribeck": RICH, "hysteresis": RICH, "mode": RICH}
+_ORDER = {"bias": 0, "linear": 1, "scale": 1, "stribeck": RICH, "hysteresis": RICH, "mode": RICH, "ripple": RICH}
 _OTHER = 2
 # Twice the difference in log-likelihood, of as many samples as coloured residuals are worth, below which two refits are
 # equally good: chance exceeds it once in a hundred times with two parameters that differ.

@@ -63,6 +63,18 @@ def test_an_offset_of_a_sensor_in_one_record_is_named() -> None:
     assert f.parameters["x[flight 2]"][0] == pytest.approx(0.05, abs=0.002)
 
 
+def test_a_scale_of_a_sensor_in_one_record_is_named() -> None:
+    runs = flights(4, (4.0, 4.0))
+    second = runs[1]
+    y = {"x": second.output("x"), "v": 1.08 * second.output("v")}
+    runs[1] = ph.Experiment(second.t, {"u": second.input("u")}, y, name=second.name)
+    d = ph.diagnose(ph.estimate(mass(), runs))
+    (f,) = d.findings
+    assert f.cause == "v:scale_per_experiment" and f.status == "named", d.summary()
+    assert f.parameters["v[flight 1]"][0] == pytest.approx(0.0, abs=0.004)
+    assert f.parameters["v[flight 2]"][0] == pytest.approx(0.08, abs=0.004)
+
+
 def test_the_other_record_has_a_value_of_its_own_too() -> None:
     *runs, other = flights(3, (4.0, 4.7, 4.3))
     d = ph.diagnose(ph.estimate(mass(), runs), validation=other)

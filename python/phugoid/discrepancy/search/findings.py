@@ -176,7 +176,9 @@ def finding_of_record_change(c: RecordChange) -> Finding:
     unit = f" {c.unit}" if c.unit else ""
     listed = [f"{number(v, 4)} ± {number(e, 2)}{unit} in '{record}'" for record, (v, e) in c.values.items()]
     more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""
-    if c.place.kind == "output":
+    if c.is_scale:
+        advice = f"Compare units and calibration of {c.place.name} in these records: it is too large by these parts."
+    elif c.place.kind == "output":
         advice = f"Declare a bias of {c.place.name} with per_experiment=True, or set the sensor up anew."
     elif c.place.kind == "parameter":
         advice = (

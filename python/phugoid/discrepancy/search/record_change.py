@@ -1,7 +1,8 @@
 """Parameters and offsets that differ from record to record: another mass, another trim, a sensor set up anew.
 
-A model with one value for all records takes such a difference for a disturbance. Each parameter, and a constant in each
-equation and output, is tried with a value for each record, beside the terms that a search found and without them.
+A model with one value for all records takes such a difference for a disturbance. Each parameter, a constant in each
+equation and output, and the scale of each output are tried with a value for each record, beside the terms that a search
+found and without them.
 """
 
 from __future__ import annotations
@@ -52,17 +53,29 @@ _PREDICTED, _RANK = 0.3, 1e-6
 
 @dataclass(frozen=True)
 class _Difference:
-    """What may differ: a parameter of the model, or a constant at a place that has none."""
+    """What may differ: a parameter of the model, a constant at a place that has none, or the scale of an output."""
 
     place: Place
     parameter: str
+    scale: bool = False
 
     @property
     def name(self) -> str:
         """Canonical, ``what:per_experiment``."""
         p = self.place
         at = f"{p.name}'" if p.kind == "equation" else p.name
-        return f"{at}:per_experiment" if p.kind == "parameter" else f"{at}:bias_per_experiment"
+        if p.kind == "parameter":
+            return f"{at}:per_experiment"
+        return f"{at}:{'scale' if self.scale else 'bias'}_per_experiment"
+
+    def signals(self, linear: Linearised) -> list[_Array]:
+        """Return (n, points) for each record: what is added at the place for a unit of each record's parameter."""
+        n, found = len(linear.points), []
+        for e, p in enumerate(linear.points):
+            signal = np.zeros((n, p.n))
+            signal[e] = p.outputs[self.place.name] if self.scale else 1.0
+            found.append(signal)
+        return found
 
     def in_model(self, model: Model, each: bool = True) -> Model:
         """Return the model with a value for each record, or with one for all."""
@@ -70,8 +83,13 @@ class _Difference:
             declared = model.declared_parameters[self.parameter]
             return model.with_parameters({self.parameter: replace(declared, per_experiment=each)})
         to = {"equation": f"{self.place.name}'", "output": f"y:{self.place.name}"}.get(self.place.kind, self.place.name)
-        unit = "" if self.place.kind == "equation" else model.units.get(self.place.name, "")
+        unit = "" if self.place.kind == "equation" or self.scale else model.units.get(self.place.name, "")
         new = Parameter(0.0, per_experiment=each, unit=unit)
+        if self.scale:
+            equations = model._right_hand_sides()
+            key = ("output", self.place.name)
+            equations[key] = Expr((1 + Expr.symbol(self.parameter)) * equations[key])
+            return model._changed(parameters={self.parameter: new}, equations=equations)
         if self.place.kind == "input":
             u = Expr.symbol(self.place.name)
             shifted = {self.place.name: u + Expr.symbol(self.parameter)}
@@ -84,7 +102,7 @@ class _Difference:
 class RecordChange:
     """A difference between records that was found.
 
-    name       canonical: ``k:per_experiment``, ``x:bias_per_experiment``.
+    name       canonical: ``k:per_experiment``, ``x:bias_per_experiment``, ``x:scale_per_experiment``.
     aliases    names of others that the data do not tell from it.
     place      of the parameter or the constant.
     values     record -> value and standard error.
@@ -106,8 +124,14 @@ class RecordChange:
     @property
     def explanation(self) -> str:
         """What it says, in words."""
-        what = self.place.name if self.place.kind == "parameter" else f"the constant part of {where(self.place)}"
+        part = "scale" if self.is_scale else "constant part"
+        what = self.place.name if self.place.kind == "parameter" else f"the {part} of {where(self.place)}"
         return f"{what} differs from record to record"
+
+    @property
+    def is_scale(self) -> bool:
+        """Tell whether it is the scale of a sensor."""
+        return self.place.kind == "output" and ":scale_" in self.name
 
 
 def record_changes(search: Search, result: SearchResult) -> tuple[Refit | None, list[RecordChange], list[str]]:
@@ -201,6 +225,8 @@ def _options(at: Refit) -> list[_Difference]:
     for place in structure.places:
         if place.kind in ("output", "equation"):
             found.append(_Difference(place, unused(f"bias_{place.name}", taken)))
+        if place.kind == "output":
+            found.append(_Difference(place, unused(f"scale_{place.name}", taken), scale=True))
     inputs = [v.symbol for v in structure.variables if v.kind == "input" and structure.used(v.symbol)]
     found += [_Difference(Place("input", n), unused(f"bias_{n}", taken)) for n in inputs]
     return [o for o in found if o.place in at.linear.places]
@@ -214,7 +240,7 @@ def _ranked(linear: Linearised, options: Sequence[_Difference]) -> list[_Differe
     residuals = linear.residuals / scale
     gains = []
     for option in options:
-        columns = (linear.answers(option.place, _each(linear)) / scale).T
+        columns = (linear.answers(option.place, option.signals(linear)) / scale).T
         same = np.hstack([tangents, columns.sum(axis=1, keepdims=True)])
         basis = np.linalg.svd(same, full_matrices=False)[0]
         left = columns - basis @ (basis.T @ columns)
@@ -247,17 +273,6 @@ def _left(columns: _Array, r: _Array) -> float:
     basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     basis = basis[:, sizes > _RANK * sizes[:1]]
     return float(np.sum((r - basis @ (basis.T @ r)) ** 2))
-
-
-def _each(linear: Linearised) -> list[_Array]:
-    """Return (n, points) for each record: 1 in the row of its number."""
-    n = len(linear.points)
-    found = []
-    for e, p in enumerate(linear.points):
-        signal = np.zeros((n, p.n))
-        signal[e] = 1.0
-        found.append(signal)
-    return found
 
 
 def _with(at: Refit, option: _Difference, each: bool = True) -> Refit | None:

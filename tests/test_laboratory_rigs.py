@@ -165,3 +165,23 @@ def test_a_limited_torque_is_named() -> None:
     (found,) = named(d)
     assert found.cause == "w':saturation", d.summary()
     assert found.coefficient == pytest.approx(300.0, rel=0.02)
+
+
+def test_a_wrong_sign_is_named_with_its_reason() -> None:
+    m = shaker_model()
+    one, other = (shaker(seed, "record") for seed in (11, 12))
+    turned = [
+        ph.Experiment(
+            e.t,
+            {"force": e.input("force")},
+            {"x": e.output("x"), "a": -e.output("a")},
+            name=name,
+            interpolation="hold",
+        )
+        for e, name in ((one, "one"), (other, "other"))
+    ]
+    spring = ph.candidates(m)["v':x^3"].extended(m)
+    d = ph.diagnose(ph.estimate(spring, turned[0]), validation=turned[1])
+    (found,) = named(d)
+    assert found.cause == "a:scale" and "wrong sign" in found.explanation, d.summary()
+    assert found.coefficient == pytest.approx(-2.0, abs=0.01)

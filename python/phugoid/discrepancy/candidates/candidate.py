@@ -106,6 +106,11 @@ class Candidate(ABC):
         experiment. None where they suggest nothing."""
         return None
 
+    def has_reason(self, values: Mapping[str, float]) -> bool:
+        """Tell whether values of its parameters that are outside of what is physical have a reason, such as a wrong
+        sign."""
+        return False
+
     def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
         """Return the same effect, by the same name, about other centres or with other sides, of which a record does not
         say which is right: the scan does."""

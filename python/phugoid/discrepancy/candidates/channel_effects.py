@@ -47,6 +47,11 @@ _Array = NDArray[np.float64]
 
 # A sensor or actuator whose scale is wrong by more was never calibrated.
 _SCALE = 0.3
+# A wrong sign, and units that are taken for others: degrees and radians, g and m/s², feet, knots and km/h and metres,
+# thousandths; and how near a scale must be to one of these.
+_UNITS = (180.0 / np.pi, 9.80665, 1.0 / 0.3048, 3.6 / 1.852, 3.6, 1000.0)
+_FACTORS = (-1.0, *(s * f for f in _UNITS for s in (1.0, -1.0)), *(s / f for f in _UNITS for s in (1.0, -1.0)))
+_LIKE = 0.03
 
 
 def channel(effect: Effect, points: Points) -> _Array:
@@ -64,6 +69,10 @@ class Scale(Effect):
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         return {self.coefficients[0]: (-_SCALE, _SCALE)}
+
+    def has_reason(self, values: Mapping[str, float]) -> bool:
+        scale = 1.0 + values.get(self.coefficients[0], 0.0)
+        return any(abs(scale - factor) < _LIKE * abs(factor) for factor in _FACTORS)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,7 +112,9 @@ class Delay(Effect):
         return name
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        return {self.shape_names[0]: (0.0, longest_delay(points))}
+        # Of two clocks either may be late.
+        longest = longest_delay(points)
+        return {self.shape_names[0]: (-longest, longest)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -245,7 +256,8 @@ class ClippedSensor(Effect):
         extension = ExtensionBuilder(model, self, start)
         (name,) = self.shape_names
         first = float(extension.start.get(name, next(iter(self.grid()), 0.0)))
-        limit = extension.parameter(name, first, unit=model.units.get(self.place.name, ""))
+        bounds = (0.0 if self.both_sides else -np.inf, np.inf)  # a negative one would turn the sign round
+        limit = extension.parameter(name, first, bounds=bounds, unit=model.units.get(self.place.name, ""))
         y = extension.at(self.place)
         above, below = smooth_abs(y - limit, self._corner), smooth_abs(y + limit, self._corner)
         if self.both_sides:

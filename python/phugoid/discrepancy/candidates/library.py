@@ -387,7 +387,15 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
     words = f"the measurement of {y} follows with a lag (sensor or filter)"
     yield SensorLag(f"{shown}:lag", place, words, "lag", scales, (), (names(f"lag_{y}"),))
     if y not in structure.model.delays.outputs:
-        yield SensorDelay(f"{shown}:delay", place, f"{y} is measured late", "delay", scales, (), (names(f"tau_{y}"),))
+        yield SensorDelay(
+            f"{shown}:delay",
+            place,
+            f"{y} is measured late (negative: before the other channels)",
+            "delay",
+            scales,
+            (),
+            (names(f"tau_{y}"),),
+        )
 
 
 def _on_input(structure: ModelStructure, variable: Variable, scales: Scales, names: _Names) -> Iterator[Effect]:
@@ -412,7 +420,9 @@ def _on_input(structure: ModelStructure, variable: Variable, scales: Scales, nam
         (InputLag, "lag", f"lag_{u}", f"{u} acts with a lag (first-order actuator)"),
     ]
     if symbol not in structure.model.delays.inputs:
-        shaped.append((InputDelay, "delay", f"tau_{u}", f"{u} acts late (transport delay)"))
+        shaped.append(
+            (InputDelay, "delay", f"tau_{u}", f"{u} acts late (transport delay; negative: it is recorded late)")
+        )
     for make, family, parameter, words in shaped:
         yield make(f"{u}:{family}", place, words, family, scales, (), (names(parameter),), variables=variables)
 

@@ -304,9 +304,10 @@ class Assessment:
 
 
 def is_physical(at: Refit, candidate: Candidate) -> bool:
-    """Tell whether all parameters of a candidate lie within what is physical."""
+    """Tell whether all parameters of a candidate lie within what is physical, or have a reason not to."""
     limits = candidate.physical(at.linear.points)
-    return all(low <= at.own.parameter(n)[0] <= high for n, (low, high) in limits.items())
+    values = {n: at.own.parameter(n)[0] for n in limits}
+    return all(low <= values[n] <= high for n, (low, high) in limits.items()) or candidate.has_reason(values)
 
 
 @cache

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from ...fit_result import FitResult
+from ..candidates.candidate import Candidate
 from ..candidates.terms import where
 from ..misfit.phrases import number, per_second, percent
 from .confirmation import Found
@@ -32,6 +33,7 @@ _STANDS_IN = (
     "that no candidate describes"
 )
 _UNPHYSICAL = "; but its coefficient is outside of what is physical"
+_OTHER_UNITS = ", as it is with a wrong sign or in other units"
 _UNEXPLAINED = "the residuals hold more than noise, but no candidate predicts data that were held out"
 _AGAIN = (
     "Repeat the same input: what repeats in the residuals is no noise. Then a smaller and a larger one: they tell what "
@@ -74,7 +76,7 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
         gain=found.gain,
         held_out_gain=found.held_out[0],
         threshold=found.threshold,
-        explanation=c.explanation + (_STANDS_IN if stands_in else "" if is_physical(final, c) else _UNPHYSICAL),
+        explanation=c.explanation + (_STANDS_IN if stands_in else _remark(final, c, parameters)),
         units={n: final.fit.parameters[n].unit for n in parameters},
         rivals=dict(found.rivals),
         explained=explained.part if explained else float("nan"),
@@ -82,6 +84,13 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
         explained_outputs=dict(explained.outputs) if explained else {},
         rivals_explained=dict(found.rivals_explained),
     )
+
+
+def _remark(final: Refit, c: Candidate, parameters: Mapping[str, tuple[float, float]]) -> str:
+    """Return what is to be said of the values of a candidate's parameters."""
+    if not is_physical(final, c):
+        return _UNPHYSICAL
+    return _OTHER_UNITS if c.has_reason({n: value for n, (value, _) in parameters.items()}) else ""
 
 
 def no_optimum(fit: FitResult, words: str, seconds: float) -> DiagnosisResult:

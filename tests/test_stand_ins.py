@@ -130,9 +130,13 @@ def test_a_likelier_function_takes_the_place_of_a_named_term() -> None:
     search, result = named(CUBE, "v':x^3")
     (found,) = result.found
     of = replace(histories_at(search.cache.base, Place("equation", "v"))[0], kind="function", variable="x")
-    for gain, surrogates in ((0.5 * found.gain, set()), (2.0 * found.gain, {"v':x^3"})):
-        remainder = Remainder(of, search.cache.base, gain, float("nan"))
-        assert without_stand_ins(search, result, remainder)[0].surrogates == surrogates
+    assert found.explained is not None and found.explained.interval[0] > StandInSettings.sure
+    part = replace(found, explained=replace(found.explained, part=0.7, interval=(0.6, 0.8)))
+    # Not of one that explains nearly all of the misfit beyond doubt.
+    for term, times, surrogates in ((part, 0.5, set()), (part, 2.0, {"v':x^3"}), (found, 2.0, set())):
+        remainder = Remainder(of, search.cache.base, times * found.gain, float("nan"))
+        kept, _ = without_stand_ins(search, replace(result, found=(term,)), remainder)
+        assert kept.surrogates == surrogates
 
 
 def test_what_nothing_was_named_for_is_left_as_it_is() -> None:

@@ -20,7 +20,7 @@ from ...estimation.estimate import estimate
 from ...fit_result import FitResult, dataset
 from ...modelling.model import Model
 from ...parameters import Parameter
-from ...sensitivities.trajectory import Place, shown_by_outputs
+from ...sensitivities.trajectory import Place
 from ...solvers.limits import Deadline, check_time
 from ...transcription.filter_error import FilterError
 from ...validation.frozen_model import freeze_model, freeze_noise
@@ -81,9 +81,7 @@ def through_shaping_filter(model: Model, place: Place, tau: float) -> tuple[Mode
     state, time = unused(f"{place.name}_gust", taken), unused(f"tau_{place.name}_gust", taken)
     equations, x, w = model._right_hand_sides(), Expr.symbol(place.name), Expr.symbol(state)
     if place.kind == "equation":
-        shown = shown_by_outputs(equations, model.parameter_names).get(place.name, {})
-        for key, multiple in {("equation", place.name): 1.0, **{("output", n): k for n, k in shown.items()}}.items():
-            equations[key] = Expr(equations[key] + multiple * w)
+        equations["equation", place.name] = Expr(equations["equation", place.name] + w)
     else:
         of_forces = any(kind == "quantity" and place.name in e.symbols for (kind, _), e in equations.items())
         for key, e in list(equations.items()):

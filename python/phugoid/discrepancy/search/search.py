@@ -125,7 +125,7 @@ class Search:
                 if following is None and not current.candidates and is_structured(current, self.settings.error):
                     # What a candidate does to first order says little of what a fit with it does.
                     following, _ = self.confirmation.accepted(current, self.refitting.tries(current, simple=True))
-                if following is None and not current.candidates and is_structured(current, self.settings.doubt):
+                if following is None and is_structured(current, self.settings.doubt):
                     following, _ = self.confirmation.accepted(current, self.refitting.tries(current, times=2))
                 if following is None or following.names in seen:
                     break

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 import phugoid._core as _core
 
-from .checks import finite
 from .data.experiment import Experiment
 from .data.units import check_units
-from .errors import DataError, ModelError, OptionError, did_you_mean
+from .errors import DataError, ModelError, OptionError, did_you_mean, finite
 from .fit_result import FitResult
 from .initialisation import measured_states
 from .modelling.model import Model

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import positive
 from ..data.experiment import Experiment, as_experiments
-from ..errors import DataError, ModelError, OptionError, listing
+from ..errors import DataError, ModelError, OptionError, listing, positive
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..modelling.noise import Gaussian

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import whole
 from ..data.experiment import Experiment
-from ..errors import EvaluationError, OptionError
+from ..errors import EvaluationError, OptionError, whole
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..solvers.limits import check_time, limited

@@ -7,8 +7,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from ..checks import check_progress
-from ..errors import OptionError
+from ..errors import OptionError, check_progress
 from ..fit_result import ENDED_WELL, FitResult, dataset
 from ..solvers import Newton
 from ..solvers.limits import Deadline, interrupts

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import check_progress
 from ..data.checked import moves
 from ..data.experiment import Experiment, as_experiments, completed
 from ..data.units import check_units
-from ..errors import ModelError, OptionError
+from ..errors import ModelError, OptionError, check_progress
 from ..fit_result import FitResult
 from ..initialisation import start_values
 from ..modelling.model import Model

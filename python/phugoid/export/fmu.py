@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from .._core import Expr, __version__
-from ..checks import positive
-from ..errors import DataError, MissingDependency
+from ..errors import DataError, MissingDependency, positive
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..writing import write

@@ -9,9 +9,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_progress, whole
 from ..data.experiment import Experiment
-from ..errors import DataError
+from ..errors import DataError, check_progress, whole
 from ..solvers.limits import check_time, limited
 from ..solvers.solution import Iteration, Progress
 from .modal_blocks import ModalBlocks, best_places

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import phugoid._core as _core
 
-from ..checks import finite
-from ..errors import EvaluationError, ModelError, listing
+from ..errors import EvaluationError, ModelError, finite, listing
 from ..fit_result import FitResult
 from ..initialisation import spread
 from ..modelling.compiled import Jacobians

@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing, nullcontext
 from typing import TYPE_CHECKING, Any
 
-from ..checks import check_progress, whole
 from ..data.experiment import Experiment, as_experiments, completed
-from ..errors import ModelError, OptionError
+from ..errors import ModelError, OptionError, check_progress, whole
 from ..estimation.collect import Watch, collect
 from ..estimation.starts import Draw, Problem, Range, given, plain, uniform
 from ..fit_result import FitResult

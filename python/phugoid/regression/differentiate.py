@@ -10,9 +10,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import whole
 from ..data.filtering import intervals
-from ..errors import DataError, OptionError
+from ..errors import DataError, OptionError, whole
 
 __all__ = ["Differentiator", "FourierSmoothing", "SavitzkyGolay", "SmoothingSpline"]
 

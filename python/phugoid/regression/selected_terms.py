@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
-from ..checks import is_whole
-from ..errors import OptionError, did_you_mean, listing
+from ..errors import OptionError, did_you_mean, is_whole, listing
 from ..figures.style import MEASURED, MODEL, RULE, STATE, STYLE, WIDTH, plain
 from ..notebook import notebook_page, paragraph, table
 from ..parameters import text_table

@@ -12,8 +12,7 @@ from contextvars import ContextVar
 from numbers import Real
 from typing import Any
 
-from ..checks import part, whole
-from ..errors import OptionError
+from ..errors import OptionError, part, whole
 
 __all__ = ["Deadline", "TimeUp", "check_limits", "check_time", "interrupts", "limited", "one_blas_thread", "time_is_up"]
 

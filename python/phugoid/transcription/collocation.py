@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 import phugoid._core as _core
 
-from ..checks import is_whole, part, whole
 from ..data.experiment import Experiment, FloatArray
-from ..errors import OptionError
+from ..errors import OptionError, is_whole, part, whole
 from ..modelling.model import Model
 
 __all__ = ["Collocation"]

@@ -10,9 +10,8 @@ from typing import Any
 
 import phugoid._core as _core
 
-from ..checks import whole
 from ..data.experiment import Experiment
-from ..errors import OptionError, did_you_mean
+from ..errors import OptionError, did_you_mean, whole
 from ..modelling.model import Model
 from .collocation import records_of
 

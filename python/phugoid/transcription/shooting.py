@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 
 import phugoid._core as _core
 
-from ..checks import positive, whole
 from ..data.experiment import Experiment
-from ..errors import OptionError
+from ..errors import OptionError, positive, whole
 from ..modelling.model import Model
 from .collocation import Collocation, GridSpec, checked_segments, division, limit, records_of
 

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_progress, part
 from ..data.experiment import Experiment
-from ..errors import DataError, OptionError, UnknownName, did_you_mean
+from ..errors import DataError, OptionError, UnknownName, check_progress, did_you_mean, part
 from ..figures.style import BAND, MEASURED, MODEL, SPAN, STYLE, WIDTH, labelled, plain
 from ..fit_result import FitResult
 from ..initialisation import spread

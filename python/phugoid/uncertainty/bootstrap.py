@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import is_whole, part, whole
-from ..errors import DataError, OptionError
+from ..errors import DataError, OptionError, is_whole, part, whole
 from ..estimation.collect import common_to, run_all
 from ..estimation.estimate import estimate
 from ..estimation.starts import Outcome, Problem, stream

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import part
-from ..errors import OptionError, UnknownName, did_you_mean, listing
+from ..errors import OptionError, UnknownName, did_you_mean, listing, part
 from ..estimation.collect import common_to, run_all
 from ..estimation.starts import Outcome
 from ..figures.style import GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain

@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..checks import check_progress, finite
 from ..data.experiment import Experiment, as_experiments
 from ..data.units import check_units
-from ..errors import DataError, ModelError, OptionError, did_you_mean
+from ..errors import DataError, ModelError, OptionError, check_progress, did_you_mean, finite
 from ..estimation.estimate import estimate
 from ..fit_result import FitResult
 from ..goodness_of_fit import Match, Tolerance, chi_square, chi_square_warning, match, tolerances_by_output

@@ -30,6 +30,7 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES
     from .discrepancy.misfit.misfit import misfit
     from .errors import DataError, EvaluationError, MissingDependency, ModelError, OptionError, PhugoidError
     from .export import export_c, export_fmu
+    from .filter_error import FilterError
     from .functions import (
         Table,
         acos,
@@ -75,9 +76,7 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES
     from .result import Fit
     from .simulation import simulate
     from .solvers import Ipopt, Newton
-    from .transcription.collocation import Collocation
-    from .transcription.filter_error import FilterError
-    from .transcription.shooting import MultipleShooting, SingleShooting
+    from .transcription import Collocation, MultipleShooting, SingleShooting
 
 _NAMESPACES = ("design", "functions", "linear", "models", "results")
 # Module -> public names in it. They are imported when they are first asked for: all of the package takes half a second.
@@ -92,6 +91,7 @@ _PLACES = {
     "discrepancy.misfit.misfit": "misfit",
     "errors": "DataError EvaluationError MissingDependency ModelError OptionError PhugoidError",
     "export": "export_c export_fmu",
+    "filter_error": "FilterError",
     "functions": "Table acos asin atan atan2 cos cosh exp expm1 from_sympy hypot log log1p maximum minimum sign sin "
     "sinh smooth_abs smooth_max smooth_min smooth_sign smooth_step sqrt tan tanh where",
     "goodness_of_fit": "Tolerance match",
@@ -110,9 +110,7 @@ _PLACES = {
     "result": "Fit",
     "simulation": "simulate",
     "solvers": "Ipopt Newton",
-    "transcription.collocation": "Collocation",
-    "transcription.filter_error": "FilterError",
-    "transcription.shooting": "MultipleShooting SingleShooting",
+    "transcription": "Collocation MultipleShooting SingleShooting",
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names.split()}
 

@@ -15,14 +15,14 @@ import phugoid._core as _core
 from .data.experiment import Experiment
 from .data.interpolation import kinds_for
 from .errors import ByName, DataError
+from .filter_error import FilterError
 from .modelling.densities import PerExperiment
 from .modelling.model import Model
 from .modelling.noise import Noise
 from .parameters import Estimates, text_table
 from .records import Record, only
 from .solvers import Iteration, Solution
-from .transcription.filter_error import FilterError
-from .transcription.shooting import Transcription
+from .transcription import Transcription
 
 __all__ = ["ENDED_WELL", "FitResult", "Refinement", "Smoothing", "SmoothingStep", "Step", "dataset"]
 

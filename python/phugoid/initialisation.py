@@ -15,7 +15,7 @@ from .data.experiment import Experiment
 from .errors import DataError, ModelError, finite
 from .modelling.model import Model
 from .modelling.noise import Noise, positive
-from .transcription.collocation import records_of
+from .transcription import records_of
 
 __all__ = [
     "check_names",

@@ -14,7 +14,7 @@ import phugoid._core as _core
 from .errors import OptionError
 from .figures.style import LIMIT, SERIES, plain
 from .fit_result import FitResult
-from .transcription.collocation import Collocation, records_of
+from .transcription import Collocation, records_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

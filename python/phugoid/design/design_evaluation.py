@@ -17,7 +17,7 @@ from ..parameters import Estimate, Estimates
 from ..records import Record
 from ..sensitivities.linearised import Linearised
 from ..sensitivities.tangents import parameter_sensitivities
-from ..transcription.collocation import Collocation
+from ..transcription import Collocation
 from .information import Information
 from .plan import Criterion, Excursion, Plan, Plans
 from .predicted_record import condition_warnings, predicted, with_conditions

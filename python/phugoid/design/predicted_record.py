@@ -20,8 +20,7 @@ from ..modelling.noise import Gaussian
 from ..records import Record, record_of
 from ..simulation import first_values, simulate
 from ..solvers import Newton
-from ..transcription.collocation import Collocation
-from ..transcription.shooting import SingleShooting
+from ..transcription import Collocation, SingleShooting
 
 __all__ = ["condition_warnings", "predicted", "with_conditions"]
 

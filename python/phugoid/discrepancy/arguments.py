@@ -9,8 +9,8 @@ import numpy as np
 
 from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, ModelError, OptionError, did_you_mean
+from ..filter_error import FilterError
 from ..fit_result import FitResult
-from ..transcription.filter_error import FilterError
 from ..validation.validate import shared
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates

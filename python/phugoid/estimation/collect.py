@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..errors import OptionError, check_progress
+from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult, dataset
 from ..solvers import Newton
 from ..solvers.limits import Deadline, interrupts
-from ..transcription.filter_error import FilterError
-from ..transcription.shooting import Transcription
+from ..transcription import Transcription
 from .starts import Outcome, Problem
 
 if TYPE_CHECKING:

@@ -26,8 +26,7 @@ from ..regression.equation_error import EquationError
 from ..solvers import Ipopt, Iteration, Newton, Solution
 from ..solvers.newton import solution_of
 from ..solvers.solution import Progress
-from ..transcription.collocation import Collocation, records_of
-from ..transcription.shooting import Transcription, step_spec
+from ..transcription import Collocation, Transcription, records_of, step_spec
 
 __all__ = ["Earlier", "estimated", "make_fit"]
 

@@ -12,6 +12,7 @@ from ..data.checked import moves
 from ..data.experiment import Experiment, as_experiments, completed
 from ..data.units import check_units
 from ..errors import ModelError, OptionError, check_progress
+from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..initialisation import start_values
 from ..modelling.model import Model
@@ -19,9 +20,7 @@ from ..modelling.noise import Noise, not_noise
 from ..regression.equation_error import EquationError
 from ..solvers import HINTS, Ipopt, Iteration, Newton
 from ..solvers.limits import Deadline, interrupts
-from ..transcription.collocation import Collocation
-from ..transcription.filter_error import FilterError
-from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
+from ..transcription import Collocation, MultipleShooting, SingleShooting, Transcription
 from .core import Earlier, estimated, make_fit
 from .filter_fit import better, doubtful, filter_error
 from .filter_variables import split

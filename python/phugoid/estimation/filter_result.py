@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from ..data.experiment import Experiment
+from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..modelling.noise import Noise
@@ -19,8 +20,7 @@ from ..records import Record, record_of, repeated_outputs
 from ..solvers import HINTS
 from ..solvers.limits import Deadline
 from ..solvers.newton import Minimum
-from ..transcription.collocation import records_of
-from ..transcription.filter_error import FilterError
+from ..transcription import records_of
 from .filter_variables import Objective
 
 __all__ = ["make_filter_fit"]

@@ -20,11 +20,11 @@ import phugoid._core as _core
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..errors import ModelError, OptionError
+from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..parameters import Estimates
 from ..solvers.limits import Deadline, TimeUp
-from ..transcription.filter_error import FilterError
 
 __all__ = ["Objective", "Separated", "intensity_start", "split"]
 

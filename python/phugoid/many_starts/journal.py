@@ -21,8 +21,8 @@ import phugoid._core as _core
 
 from ..errors import DataError
 from ..estimation.starts import Given, Outcome, Problem, Uniform
+from ..filter_error import FilterError
 from ..saving import files as io
-from ..transcription.filter_error import FilterError
 from ..writing import sealed, unsealed
 
 __all__ = ["FORMAT", "VERSION", "Journal", "fingerprint"]

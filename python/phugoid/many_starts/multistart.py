@@ -15,8 +15,7 @@ from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..modelling.noise import Noise, not_noise
 from ..solvers.limits import limited
-from ..transcription.collocation import Collocation
-from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
+from ..transcription import Collocation, MultipleShooting, SingleShooting, Transcription
 from .result import Multistart
 
 if TYPE_CHECKING:

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment, Signal, completed
 from ..errors import DataError, PhugoidError
+from ..filter_error import FilterError
 from ..fit_result import FitResult, Refinement, Smoothing
 from ..modelling.densities import noise_from_dict
 from ..modelling.model import Model
 from ..parameters import Estimate, Estimates
 from ..records import Record
 from ..solvers import Iteration, Solution
-from ..transcription.filter_error import FilterError
-from ..transcription.shooting import Transcription, from_dict, to_dict
+from ..transcription import Transcription, from_dict, to_dict
 from . import files as io
 from .content import check_fit
 

@@ -21,7 +21,7 @@ from ..initialisation import spread
 from ..residual_noise.series import uniform_segments
 from ..residual_noise.whitening import RowStructure
 from ..solvers.limits import check_time, time_is_up
-from ..transcription.collocation import Collocation
+from ..transcription import Collocation
 from .trajectory import AddedTerm, Derivatives, Place, Points
 
 __all__ = ["Linearised"]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError, UnknownName, check_progress, did_you_mean, part
 from ..figures.style import BAND, MEASURED, MODEL, SPAN, STYLE, WIDTH, labelled, plain
+from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..initialisation import spread
 from ..notebook import overview, sparkline
@@ -22,8 +23,7 @@ from ..records import Record
 from ..sensitivities.linearised import Linearised
 from ..sensitivities.tangents import Tangents, collocated
 from ..solvers import Iteration
-from ..transcription.collocation import Collocation
-from ..transcription.filter_error import FilterError
+from ..transcription import Collocation
 from ..validation.validate import ReEstimated, re_estimated
 from .coloured import Colouring
 from .coloured import coloured as corrected

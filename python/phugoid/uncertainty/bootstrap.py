@@ -17,11 +17,11 @@ from ..estimation.collect import common_to, run_all
 from ..estimation.estimate import estimate
 from ..estimation.starts import Outcome, Problem, stream
 from ..figures.style import BAND, GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
+from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult
 from ..notebook import Rows, overview, sparkline
 from ..parameters import Estimates, text_table
 from ..solvers.limits import limited
-from ..transcription.filter_error import FilterError
 from .filtered import of_fit
 from .resample import Blocks, ColouredNoise, Parametric, Resampler, block_length
 

@@ -13,6 +13,7 @@ from ..data.experiment import Experiment, as_experiments
 from ..data.units import check_units
 from ..errors import DataError, ModelError, OptionError, check_progress, did_you_mean, finite
 from ..estimation.estimate import estimate
+from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..goodness_of_fit import Match, Tolerance, chi_square, chi_square_warning, match, tolerances_by_output
 from ..initialisation import measured_states
@@ -20,7 +21,6 @@ from ..modelling.model import Model
 from ..records import Record
 from ..solvers import Iteration, Newton
 from ..solvers.limits import limited
-from ..transcription.filter_error import FilterError
 from .frozen_model import estimates_of, freed_by_default, freeze_model, freeze_noise, mesh_for
 from .result import Validation
 

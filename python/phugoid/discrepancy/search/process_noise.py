@@ -17,12 +17,12 @@ from ..._core import Expr
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ...estimation.estimate import estimate
+from ...filter_error import FilterError
 from ...fit_result import FitResult, dataset
 from ...modelling.model import Model
 from ...parameters import Parameter
 from ...sensitivities.trajectory import Place
 from ...solvers.limits import Deadline, check_time
-from ...transcription.filter_error import FilterError
 from ...validation.frozen_model import freeze_model, freeze_noise
 from ..candidates.candidate import unused
 from .disturbance import Disturbance

@@ -10,12 +10,16 @@ from typing import Any
 
 import phugoid._core as _core
 
-from ..data.experiment import Experiment
-from ..errors import OptionError, did_you_mean, whole
-from ..modelling.model import Model
-from .collocation import records_of
+from .data.experiment import Experiment
+from .errors import OptionError, did_you_mean, whole
+from .modelling.model import Model
+from .transcription import records_of
 
-__all__ = ["FEWEST", "FilterError"]
+__all__ = [
+    "FEWEST",
+    "FilterError",
+]
+
 
 # Runge-Kutta steps between samples, and terms of the noise there, to begin with.
 FEWEST = (1, 2)

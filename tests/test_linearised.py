@@ -13,6 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 import phugoid as ph
 from phugoid import _core
 from phugoid.discrepancy.candidates.candidate import Candidate
+from phugoid.frozen_model import freeze_model
 from phugoid.initialisation import spread
 from phugoid.residual_noise.autoregression import Autoregression
 from phugoid.residual_noise.whitening import Whitening
@@ -20,7 +21,6 @@ from phugoid.sensitivities.linearised import Linearised
 from phugoid.sensitivities.tangents import collocated
 from phugoid.sensitivities.whitened import Whitened
 from phugoid.solvers import limits
-from phugoid.validation.frozen_model import freeze_model
 
 SIGMA = {"x": 0.01, "v": 0.02, "a": 0.03}
 NOISE = ph.Gaussian(SIGMA)

@@ -19,7 +19,7 @@ from .pages import PageTable, Picture, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
 from .summary import corrected
 from .uncertainty.correlation import correlation, plot_correlation
-from .validation.result import Validation
+from .validation import Validation
 from .writing import PAGES, check_folder, check_suffix, write
 
 __all__ = ["remarks", "report"]

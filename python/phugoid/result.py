@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from .uncertainty.coloured import Coloured
     from .uncertainty.correlation import Correlation
     from .uncertainty.profile import Profiles
-    from .validation.result import Validation
+    from .validation import Validation
 
 __all__ = ["Fit"]
 
@@ -320,7 +320,7 @@ class Fit(FitResult):
         model's channels or with fewer samples than unknowns. An experiment that the fit was made on, and a fit that has
         not converged, are among the ``warnings`` of the result.
         """
-        from .validation.validate import validate
+        from .validation import validate
 
         return validate(
             self,

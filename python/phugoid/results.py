@@ -29,7 +29,7 @@ from .uncertainty.bootstrap import Bootstrap
 from .uncertainty.coloured import Coloured
 from .uncertainty.correlation import Correlation, WeakDirection
 from .uncertainty.profile import Profile, Profiles
-from .validation.result import Validation
+from .validation import Validation
 
 __all__ = [
     "Bands",

@@ -18,7 +18,7 @@ from ..errors import OptionError
 from ..fit_result import ENDED_WELL
 from ..result import Fit
 from ..solvers import Newton
-from ..validation.result import Validation
+from ..validation import Validation
 from .model_file import load_source
 from .options import (
     DataArgument,

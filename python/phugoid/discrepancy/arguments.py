@@ -11,7 +11,7 @@ from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, ModelError, OptionError, did_you_mean
 from ..filter_error import FilterError
 from ..fit_result import FitResult
-from ..validation.validate import shared
+from ..validation import shared
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
 from .candidates.library import candidates as library

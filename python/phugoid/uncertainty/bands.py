@@ -24,7 +24,7 @@ from ..sensitivities.linearised import Linearised
 from ..sensitivities.tangents import Tangents, collocated
 from ..solvers import Iteration
 from ..transcription import Collocation
-from ..validation.validate import ReEstimated, re_estimated
+from ..validation import ReEstimated, re_estimated
 from .coloured import Colouring
 from .coloured import coloured as corrected
 from .filtered import check_ended, elsewhere, within

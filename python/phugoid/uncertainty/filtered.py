@@ -18,7 +18,7 @@ from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult, dataset
 from ..modelling.model import Model
 from ..records import Record
-from ..validation.validate import ReEstimated
+from ..validation import ReEstimated
 
 __all__ = ["Filtered", "check_ended", "elsewhere", "of_fit", "within"]
 

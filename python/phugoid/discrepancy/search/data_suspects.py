@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...errors import PhugoidError
-from ...validation.frozen_model import freed_by_default
+from ...frozen_model import freed_by_default
 from ..candidates.candidate import Candidate
 from .disturbance import Disturbances
 from .finding import ExtensionResult

@@ -19,11 +19,11 @@ from ...errors import PhugoidError
 from ...estimation.estimate import estimate
 from ...filter_error import FilterError
 from ...fit_result import FitResult, dataset
+from ...frozen_model import freeze_model, freeze_noise
 from ...modelling.model import Model
 from ...parameters import Parameter
 from ...sensitivities.trajectory import Place
 from ...solvers.limits import Deadline, check_time
-from ...validation.frozen_model import freeze_model, freeze_noise
 from ..candidates.candidate import unused
 from .disturbance import Disturbance
 from .refit import Refit

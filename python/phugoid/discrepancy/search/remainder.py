@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen_model import freed_by_default
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Place
 from ...sensitivities.whitened import Whitened
-from ...validation.frozen_model import freed_by_default
 from ..candidates.candidate import Candidate, Effect, is_function
 from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of, powers_of
 from .evidence import is_structured

@@ -24,8 +24,7 @@ from phugoid.discrepancy.misfit.misfit import misfit
 from phugoid.errors import DataError, UnknownName
 from phugoid.modelling.declared import rebuilt
 from phugoid.records import Record
-from phugoid.residual_noise.autoregression import burg
-from phugoid.residual_noise.spectrum import spectrum_of
+from phugoid.residual_noise.autoregression import burg, spectrum_of
 
 N, DT = 600, 0.1
 T = DT * np.arange(N)

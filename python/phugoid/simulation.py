@@ -18,7 +18,7 @@ from .fit_result import FitResult
 from .initialisation import measured_states
 from .modelling.model import Model
 from .records import Record, record_of
-from .solvers.limits import limited
+from .solvers.solution import limited
 
 __all__ = ["first_values", "simulate"]
 

@@ -27,7 +27,7 @@ from .notebook import bullets, overview, sparkline
 from .parameters import Estimates, estimates_html, estimates_table, facts_text, text_table
 from .records import Record, only
 from .solvers import Iteration, Newton
-from .solvers.limits import limited
+from .solvers.solution import limited
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,8 +18,7 @@ from ..records import Record
 from ..sensitivities.linearised import Linearised
 from ..sensitivities.tangents import parameter_sensitivities
 from ..transcription import Collocation
-from .information import Information
-from .plan import Criterion, Excursion, Plan, Plans
+from .plan import Criterion, Excursion, Information, Plan, Plans
 from .predicted_record import condition_warnings, predicted, with_conditions
 
 __all__ = ["first_states", "own_values", "plan", "plans", "sigmas_of", "source_of", "value_of", "values_of"]

@@ -14,7 +14,7 @@ from ..data.experiment import Experiment
 from ..errors import DataError
 from ..fit_result import ENDED_WELL, FitResult
 from ..sensitivities.tangents import collocated
-from ..solvers.limits import Deadline, check_time, interrupts, limited, one_blas_thread
+from ..solvers.solution import Deadline, check_time, interrupts, limited, one_blas_thread
 from .arguments import candidates_given, check_fit, check_size, freed, validation_given
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates

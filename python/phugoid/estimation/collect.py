@@ -11,7 +11,7 @@ from ..errors import OptionError, check_progress
 from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult, dataset
 from ..solvers import Newton
-from ..solvers.limits import Deadline, interrupts
+from ..solvers.solution import Deadline, interrupts
 from ..transcription import Transcription
 from .starts import Outcome, Problem
 

@@ -19,7 +19,7 @@ from ..modelling.model import Model
 from ..modelling.noise import Noise, not_noise
 from ..regression.equation_error import EquationError
 from ..solvers import HINTS, Ipopt, Iteration, Newton
-from ..solvers.limits import Deadline, interrupts
+from ..solvers.solution import Deadline, interrupts
 from ..transcription import Collocation, MultipleShooting, SingleShooting, Transcription
 from .core import Earlier, estimated, make_fit
 from .filter_fit import better, doubtful, filter_error

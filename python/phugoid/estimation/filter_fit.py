@@ -21,9 +21,8 @@ from ..initialisation import check_names, parameter_start, spread, state_start
 from ..modelling.model import Model
 from ..modelling.noise import Gaussian, Noise
 from ..solvers import Iteration
-from ..solvers.limits import Deadline, TimeUp
 from ..solvers.newton import Minimum, bounded_step, minimise
-from ..solvers.solution import Progress
+from ..solvers.solution import Deadline, Progress, TimeUp
 from .filter_result import make_filter_fit
 from .filter_variables import Objective, Separated, intensity_start, split
 

@@ -18,8 +18,8 @@ from ..modelling.noise import Noise
 from ..parameters import Estimate, Estimates
 from ..records import Record, record_of, repeated_outputs
 from ..solvers import HINTS
-from ..solvers.limits import Deadline
 from ..solvers.newton import Minimum
+from ..solvers.solution import Deadline
 from ..transcription import records_of
 from .filter_variables import Objective
 

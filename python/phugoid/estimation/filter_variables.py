@@ -24,7 +24,7 @@ from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..parameters import Estimates
-from ..solvers.limits import Deadline, TimeUp
+from ..solvers.solution import Deadline, TimeUp
 
 __all__ = ["Objective", "Separated", "intensity_start", "split"]
 

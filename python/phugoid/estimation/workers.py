@@ -21,7 +21,7 @@ from itertools import chain
 from typing import Any
 
 from ..errors import OptionError
-from ..solvers.limits import Deadline, check_time, interrupts
+from ..solvers.solution import Deadline, check_time, interrupts
 from .starts import Outcome, Problem
 
 __all__ = ["Crew"]

@@ -14,7 +14,7 @@ from ..estimation.starts import Draw, Problem, Range, given, plain, uniform
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..modelling.noise import Noise, not_noise
-from ..solvers.limits import limited
+from ..solvers.solution import limited
 from ..transcription import Collocation, MultipleShooting, SingleShooting, Transcription
 from .result import Multistart
 

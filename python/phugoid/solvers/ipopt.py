@@ -23,8 +23,7 @@ from .ipopt_callbacks import (
     scale_from_curvature,
     scale_from_data,
 )
-from .limits import Deadline, check_limits
-from .solution import HINTS, Iteration, Solution
+from .solution import HINTS, Deadline, Iteration, Solution, check_limits
 
 __all__ = ["Ipopt"]
 

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from ..errors import MissingDependency
-from .limits import Deadline
-from .solution import Iteration
+from .solution import Deadline, Iteration
 
 __all__ = ["STATUS", "Callbacks", "Scaling", "interruptible", "load_cyipopt", "scale_from_curvature", "scale_from_data"]
 

@@ -9,9 +9,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...residual_noise.autoregression import Autoregression, CorrelatedNoise, burg
+from ...residual_noise.autoregression import (
+    Autoregression,
+    CorrelatedNoise,
+    Spectrum,
+    Tone,
+    burg,
+    spectrum_of,
+    tones_of,
+)
 from ...residual_noise.series import WITHIN, Series, autocorrelation_of, same_rate
-from ...residual_noise.spectrum import Spectrum, Tone, spectrum_of, tones_of
 from .phrases import channel_phrases, number
 from .regimes import Dependence, Regime, Running, Span, correlations_of, regimes_of, spans_of
 

@@ -27,8 +27,8 @@ from ...figures.style import (
 )
 from ...fit_result import FitResult
 from ...records import Record
+from ...residual_noise.autoregression import spectrum_of
 from ...residual_noise.series import Series, autocorrelation_of, channel_series
-from ...residual_noise.spectrum import spectrum_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

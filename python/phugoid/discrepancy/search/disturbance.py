@@ -20,7 +20,7 @@ from ...residual_noise.whitening import Filter, Whitening
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Place, Points
 from ...sensitivities.whitened import Marginal, RandomEffects, at_knots
-from ...solvers.limits import check_time
+from ...solvers.solution import check_time
 from ..candidates.scales import levels_of
 from .refit import Refit
 

@@ -23,7 +23,7 @@ from ...frozen_model import freeze_model, freeze_noise
 from ...modelling.model import Model
 from ...parameters import Parameter
 from ...sensitivities.trajectory import Place
-from ...solvers.limits import Deadline, check_time
+from ...solvers.solution import Deadline, check_time
 from ..candidates.candidate import unused
 from .disturbance import Disturbance
 from .refit import Refit

@@ -22,7 +22,7 @@ from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Points
 from ...sensitivities.whitened import Whitened, joint_whitening, own_whitening
 from ...solvers import Newton
-from ...solvers.limits import check_time
+from ...solvers.solution import check_time
 from ..candidates.candidate import Candidate
 
 __all__ = [

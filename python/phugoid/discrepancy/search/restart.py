@@ -17,7 +17,7 @@ from ...estimation.estimate import estimate
 from ...fit_result import ENDED_WELL, FitResult, dataset
 from ...modelling.model import Model
 from ...solvers import HINTS, Newton
-from ...solvers.limits import check_time
+from ...solvers.solution import check_time
 from .refit import Refit, values_of
 from .segments import Segments, fitted_to_segments
 

@@ -17,7 +17,7 @@ from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ...fit_result import dataset
 from ...solvers import Newton
-from ...solvers.limits import check_time
+from ...solvers.solution import check_time
 from .disturbance import Disturbance, histories_at
 from .evidence import is_structured
 from .process_noise import filtered

@@ -17,7 +17,7 @@ from ...residual_noise.whitening import Whitening
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Place
 from ...sensitivities.whitened import RandomEffects, Whitened, at_knots
-from ...solvers.limits import check_time
+from ...solvers.solution import check_time
 from .refit import Refit
 
 __all__ = ["wandering"]

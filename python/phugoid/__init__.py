@@ -69,8 +69,8 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES
     from .parameters import Parameter
     from .petab.problem import read_petab
     from .reconstruction import reconstruct
-    from .regression.differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
     from .regression.equation_error import equation_error
+    from .regression.least_squares import FourierSmoothing, SavitzkyGolay, SmoothingSpline
     from .regression.selected_terms import TermSelection
     from .regression.term_selection import monomials
     from .result import Fit
@@ -103,8 +103,8 @@ _PLACES = {
     "parameters": "Parameter",
     "petab.problem": "read_petab",
     "reconstruction": "reconstruct",
-    "regression.differentiate": "FourierSmoothing SavitzkyGolay SmoothingSpline",
     "regression.equation_error": "equation_error",
+    "regression.least_squares": "FourierSmoothing SavitzkyGolay SmoothingSpline",
     "regression.selected_terms": "TermSelection",
     "regression.term_selection": "monomials",
     "result": "Fit",

@@ -23,8 +23,7 @@ from ..modelling.noise import Gaussian, Noise
 from ..solvers import Iteration
 from ..solvers.newton import Minimum, bounded_step, minimise
 from ..solvers.solution import Deadline, Progress, TimeUp
-from .filter_result import make_filter_fit
-from .filter_variables import Objective, Separated, intensity_start, split
+from .filter_variables import Objective, Separated, intensity_start, make_filter_fit, split
 
 __all__ = ["better", "doubtful", "filter_error"]
 

@@ -18,7 +18,6 @@ from ..modelling.model import Model
 from ..notebook import Html, bullets, notebook_page, table
 from ..parameters import Estimate, Estimates, estimates_html, estimates_table, text_table
 from ..records import Record
-from .differentiate import Differentiator, FourierSmoothing, SavitzkyGolay, SmoothingSpline
 from .equations import (
     Equation,
     EquationSides,
@@ -30,7 +29,7 @@ from .equations import (
     parameters_in,
     unknowns_of,
 )
-from .least_squares import Regression, regress
+from .least_squares import Differentiator, FourierSmoothing, Regression, SavitzkyGolay, SmoothingSpline, regress
 from .selected_terms import SelectedTerms, TermSelection, check_keep, term_selection
 from .term_selection import select_terms, with_candidates, without
 

@@ -17,7 +17,7 @@ from ..initialisation import measured_states
 from ..modelling.compiled import CompiledExpressions, CompiledModel
 from ..modelling.model import Model
 from ..records import Record
-from .differentiate import Differentiator
+from .least_squares import Differentiator
 
 __all__ = [
     "Equation",

@@ -2,8 +2,8 @@
 
 ``r[t] = a_1 r[t-1] + ... + a_p r[t-p] + e[t]``. Its innovations e are what noise there is, whatever the residuals
 consist of: by Kolmogorov's formula their variance is that of the best prediction, while differences of high order see
-only the noise near the Nyquist frequency, which a filtered sensor does not have. And at which frequencies residuals have
-their power: Welch's spectrum, bands above white noise, and tones."""
+only the noise near the Nyquist frequency, which a filtered sensor does not have. Also at which frequencies residuals
+have their power: Welch's spectrum, bands above white noise, and tones."""
 
 from __future__ import annotations
 

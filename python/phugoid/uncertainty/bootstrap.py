@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, OptionError, is_whole, part, whole
-from ..estimation.collect import common_to, run_all
 from ..estimation.estimate import estimate
 from ..estimation.starts import Outcome, Problem, stream
+from ..estimation.workers import common_to, run_all
 from ..figures.style import BAND, GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
 from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult

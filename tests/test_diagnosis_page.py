@@ -22,7 +22,7 @@ from phugoid.discrepancy.page.page import report
 from phugoid.discrepancy.page.words import diagnosis_summary, headline, outcome
 from phugoid.discrepancy.search.finding import DiagnosisResult, Finding, Scored
 from phugoid.errors import DataError, UnknownName
-from phugoid.mathml import equation
+from phugoid.notebook import equation
 from phugoid.results import Extension, Gain
 
 NAN = math.nan

@@ -13,7 +13,7 @@ import short_period
 
 import phugoid as ph
 from phugoid.discrepancy.search import restart
-from phugoid.estimation.estimate import estimate
+from phugoid.estimation import estimate
 
 
 @functools.cache

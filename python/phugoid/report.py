@@ -14,7 +14,7 @@ from .figures import fit as plot
 from .figures.estimates import plot_convergence, plot_parameters
 from .fit_result import FitResult
 from .goodness_of_fit import Match, match
-from .mathml import equation
+from .notebook import equation
 from .pages import PageTable, Picture, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
 from .summary import corrected

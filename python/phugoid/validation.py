@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from .data.experiment import Experiment, as_experiments
 from .data.units import check_units
 from .errors import DataError, ModelError, OptionError, check_progress, did_you_mean, finite
-from .estimation.estimate import estimate
+from .estimation import estimate
 from .figures import fit as plot
 from .filter_error import FilterError
 from .fit_result import FitResult

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, overload
 
 from ..data.experiment import Experiment
 from ..errors import ByName, DataError, OptionError
-from ..figures.style import INPUT, SERIES, STYLE, WIDTH, labelled, plain
+from ..figures import INPUT, SERIES, STYLE, WIDTH, labelled, plain
 from ..notebook import notebook_page, table
 from ..parameters import text_table
 from ..tabular import package

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError, UnknownName, did_you_mean
-from ..figures.style import LIMIT, SERIES, STYLE, WIDTH, labelled, plain
+from ..figures import LIMIT, SERIES, STYLE, WIDTH, labelled, plain
 from ..notebook import Rows, overview, sparkline
 from ..parameters import Estimates, correlation_matrix, text_table
 from ..records import Record

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
 from ..errors import EvaluationError
-from ..estimation.estimate import estimate
+from ..estimation import estimate
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..modelling.noise import Gaussian

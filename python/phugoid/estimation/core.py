@@ -22,7 +22,7 @@ from ..modelling.model import Model
 from ..modelling.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates
 from ..records import Record, record_of, repeated_outputs
-from ..regression.equation_error import EquationError
+from ..regression import EquationError
 from ..solvers import Ipopt, Iteration, Newton, Solution
 from ..solvers.newton import solution_of
 from ..solvers.solution import Progress

@@ -19,7 +19,7 @@ from ..modelling.model import Model
 from ..modelling.noise import Noise, Sigma
 from ..solvers import Newton
 from ..transcription import Transcription
-from .estimate import estimate
+from . import estimate
 
 __all__ = ["Draw", "Given", "Outcome", "Problem", "Range", "Uniform", "given", "plain", "stream", "uniform"]
 

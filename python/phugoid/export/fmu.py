@@ -20,8 +20,8 @@ from ..errors import DataError, MissingDependency, positive
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..writing import write
+from . import Code, Contents, contents_of, identifier, source
 from .graph import number
-from .writer import Code, Contents, contents_of, identifier, source
 
 __all__ = ["export_fmu"]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..errors import DataError, OptionError, UnknownName, listing
 from ..fit_result import FitResult
 from ..parameters import Estimate, plus_minus
-from .style import GREY, MEASURED, MODEL, RESIDUAL, RULE, SERIES, STATE, STYLE, WIDTH, plain
+from . import GREY, MEASURED, MODEL, RESIDUAL, RULE, SERIES, STATE, STYLE, WIDTH, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

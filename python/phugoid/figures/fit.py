@@ -15,7 +15,7 @@ from ..errors import DataError, UnknownName, did_you_mean
 from ..fit_result import FitResult
 from ..goodness_of_fit import Tolerance, match, tolerances_by_output
 from ..records import Record
-from .style import (
+from . import (
     BAND,
     INPUT,
     LIMIT,

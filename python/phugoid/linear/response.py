@@ -11,20 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError
-from ..figures.style import (
-    BAND,
-    MEASURED,
-    MODEL,
-    ORANGE,
-    PURPLE,
-    RESIDUAL,
-    STATE,
-    STYLE,
-    WIDTH,
-    figure_of,
-    headline,
-    plain,
-)
+from ..figures import BAND, MEASURED, MODEL, ORANGE, PURPLE, RESIDUAL, STATE, STYLE, WIDTH, figure_of, headline, plain
 from ..notebook import overview, sparkline
 
 if TYPE_CHECKING:

@@ -21,8 +21,7 @@ import phugoid._core as _core
 
 from .._core import Expr
 from ..errors import ModelError, listing
-from ..mathml import equation
-from ..notebook import overview
+from ..notebook import equation, overview
 from ..parameters import Parameter
 
 __all__ = [

@@ -9,7 +9,7 @@ from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from ..errors import OptionError, did_you_mean, is_whole, listing
-from ..figures.style import MEASURED, MODEL, RULE, STATE, STYLE, WIDTH, plain
+from ..figures import MEASURED, MODEL, RULE, STATE, STYLE, WIDTH, plain
 from ..notebook import notebook_page, paragraph, table
 from ..parameters import text_table
 from .subsets import SubsetStatistics

@@ -12,7 +12,7 @@ import phugoid._core as _core
 
 from .._core import Expr
 from ..errors import EvaluationError, OptionError
-from ..estimation.estimate import estimate
+from ..estimation import estimate
 from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult, dataset
 from ..modelling.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT

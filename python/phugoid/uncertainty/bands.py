@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError, UnknownName, check_progress, did_you_mean, part
-from ..figures.style import BAND, MEASURED, MODEL, SPAN, STYLE, WIDTH, labelled, plain
+from ..figures import BAND, MEASURED, MODEL, SPAN, STYLE, WIDTH, labelled, plain
 from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..initialisation import spread

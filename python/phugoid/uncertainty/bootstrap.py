@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, OptionError, is_whole, part, whole
-from ..estimation.estimate import estimate
+from ..estimation import estimate
 from ..estimation.starts import Outcome, Problem, stream
 from ..estimation.workers import common_to, run_all
-from ..figures.style import BAND, GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
+from ..figures import BAND, GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
 from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult
 from ..notebook import Rows, overview, sparkline

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, UnknownName, did_you_mean, listing
-from ..figures.style import STYLE, WIDTH, headline, plain
+from ..figures import STYLE, WIDTH, headline, plain
 from ..fit_result import FitResult
 from ..notebook import bullets, notebook_page, table
 from ..parameters import correlation_matrix, text_table

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import OptionError, UnknownName, did_you_mean, listing, part
 from ..estimation.starts import Outcome
 from ..estimation.workers import common_to, run_all
-from ..figures.style import GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
+from ..figures import GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
 from ..fit_result import FitResult
 from ..notebook import Html, Rows, overview, sparkline
 from ..parameters import text_table

@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias
 
 from ..data.experiment import Experiment
 from ..errors import PhugoidError
-from ..estimation.estimate import estimate
+from ..estimation import estimate
 from ..estimation.filter_variables import Separated
 from ..estimation.starts import Outcome, Problem
 from ..fit_result import ENDED_WELL, FitResult

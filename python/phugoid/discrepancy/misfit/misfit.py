@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import DataError, UnknownName, listing
-from ...figures.style import (
+from ...figures import (
     BAND,
     GREY,
     INPUT,

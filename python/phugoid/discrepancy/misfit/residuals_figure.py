@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import DataError, UnknownName, listing
-from ...figures.fit import choose_record, sigmas_of
-from ...figures.style import (
+from ...figures import (
     BAND,
     GREY,
     INPUT,
@@ -25,6 +24,7 @@ from ...figures.style import (
     squared,
     with_gaps,
 )
+from ...figures.fit import choose_record, sigmas_of
 from ...fit_result import FitResult
 from ...records import Record
 from ...residual_noise.autoregression import spectrum_of

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import DataError, UnknownName, listing
-from ...figures.style import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, STYLE, WIDTH, labelled, plain
+from ...figures import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, STYLE, WIDTH, labelled, plain
 from ...fit_result import FitResult
 from ...records import Record
 from ..misfit.phrases import number

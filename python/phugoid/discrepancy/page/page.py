@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from ...mathml import equation
 from ...modelling.model import Model
+from ...notebook import equation
 from ...pages import PageTable, picture, render, sources
 from ...parameters import Estimate
 from ...writing import PAGES, check_folder, check_suffix, write

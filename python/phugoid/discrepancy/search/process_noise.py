@@ -16,7 +16,7 @@ import numpy as np
 from ..._core import Expr
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
-from ...estimation.estimate import estimate
+from ...estimation import estimate
 from ...filter_error import FilterError
 from ...fit_result import FitResult, dataset
 from ...frozen_model import freeze_model, freeze_noise

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
 from ...errors import DataError, ModelError, PhugoidError
-from ...estimation.estimate import estimate
+from ...estimation import estimate
 from ...fit_result import ENDED_WELL, FitResult, dataset
 from ...frozen_model import estimates_of, freed_by_default, freeze_model, freeze_noise, mesh_for
 from ...modelling.model import Model

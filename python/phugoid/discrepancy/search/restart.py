@@ -13,7 +13,7 @@ import numpy as np
 
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
-from ...estimation.estimate import estimate
+from ...estimation import estimate
 from ...fit_result import ENDED_WELL, FitResult, dataset
 from ...modelling.model import Model
 from ...solvers import HINTS, Newton

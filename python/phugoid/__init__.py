@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES
     from .design.detection import manoeuvres
     from .diagnosing import diagnose, improve
     from .discrepancy.candidates.library import candidates
-    from .discrepancy.misfit.misfit import misfit
+    from .discrepancy.misfit import misfit
     from .errors import DataError, EvaluationError, MissingDependency, ModelError, OptionError, PhugoidError
     from .export import export_c
     from .export.fmu import export_fmu
@@ -89,7 +89,7 @@ _PLACES = {
     "design.detection": "manoeuvres",
     "diagnosing": "diagnose improve",
     "discrepancy.candidates.library": "candidates",
-    "discrepancy.misfit.misfit": "misfit",
+    "discrepancy.misfit": "misfit",
     "errors": "DataError EvaluationError MissingDependency ModelError OptionError PhugoidError",
     "export": "export_c",
     "export.fmu": "export_fmu",

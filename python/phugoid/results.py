@@ -5,7 +5,7 @@ from .design.plan import Excursion, Plan, Plans
 from .diagnosis import Diagnosis, Extension, Improvement
 from .discrepancy.candidates.candidate import Candidate
 from .discrepancy.candidates.collection import Candidates
-from .discrepancy.misfit.misfit import Misfit
+from .discrepancy.misfit import Misfit
 from .discrepancy.search.finding import Finding, Gain, Scored
 from .estimation.starts import Outcome
 from .fit_result import FitResult, Refinement, Smoothing

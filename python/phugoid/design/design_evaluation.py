@@ -1,4 +1,9 @@
-"""Evaluation of an experiment design: the record that a planned manoeuvre gives, Fisher information and excursions."""
+"""Evaluation of an experiment design: Fisher information and excursions, from a model and planned inputs.
+
+The record that a planned manoeuvre is predicted to give, with measured conditions that it does not state, is fitted,
+without noise, from the very parameters that it was made with; there the Hessian of the log-likelihood is the Fisher
+information, which `parameter_sensitivities` gives with the initial states free.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Exceptions of phugoid: one base class, and one subclass for each place where the fault may lie; and checks of options,
-one rule and one wording for each kind.
+"""Exceptions of phugoid: one base class, and one subclass for each place where the fault may lie; and checks of
+options, one rule and one wording for each kind.
 
 Each subclass is also the built-in exception that a reader would expect, so ``except ValueError`` works. Errors about a
 number begin with ``what``, which names the function and the option: "bootstrap: n".

@@ -1,5 +1,5 @@
-"""Candidates, by number and by name, and those that the user writes; which of them say something that the model does not,
-and that no other candidate does.
+"""Candidates, by number and by name, and those that the user writes; which of them say something that the model does
+not, and that no other candidate does.
 
 At random points (states, inputs, time, parameters) a model's parameters each move its equations in some direction: the
 derivatives of all quantities, state equations and outputs with respect to it. A candidate within the span of these is

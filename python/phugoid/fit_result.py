@@ -152,17 +152,6 @@ class FitResult:
         labels = {name: f"{name}[{experiment}]" for name in self.model.parameter_names}
         return {n: self.parameters[label if label in self.parameters else n].value for n, label in labels.items()}
 
-    def _runs(self) -> Sequence[Experiment]:
-        """Return the experiments, of a file that has none as its records are."""
-        if self.experiments:
-            return self.experiments
-        return [
-            Experiment(r.t, r.inputs, r.measured, r.name, r.interpolation)._sampled(
-                {name: (t, u, 0.0, 0) for name, (t, u) in r.input_samples.items()}, None
-            )
-            for r in self.records
-        ]
-
     def _once(self, name: str, compute: Callable[[], _T]) -> _T:
         """Return the result of ``compute``, which is stored with the fit under a name at the first call."""
         known = vars(self)

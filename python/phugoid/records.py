@@ -95,12 +95,6 @@ class Record:
         """Number of samples, N."""
         return int(self.t.size)
 
-    @property
-    def input_times(self) -> _Array:
-        """Times of the samples and of the inputs' own within the record, in order, s: where inputs bend or jump."""
-        own = [t[(t > self.t[0]) & (t < self.t[-1])] for t, _ in self.input_samples.values()]
-        return np.unique(np.concatenate([self.t, *own])) if own else self.t
-
     def rms(self) -> dict[str, float]:
         """Return the root mean square of each output's residuals, in its unit; NaN without samples, and where the
         states do not satisfy the equations.

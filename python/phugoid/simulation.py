@@ -16,7 +16,7 @@ from .data.experiment import Experiment
 from .data.units import check_units
 from .errors import DataError, ModelError, OptionError, did_you_mean, finite
 from .figures import LIMIT, SERIES, plain
-from .fit_result import FitResult
+from .fit_result import FitResult, dataset
 from .initialisation import measured_states
 from .modelling.model import Model
 from .records import Record, record_of
@@ -236,7 +236,7 @@ def integration_error(fit: FitResult) -> tuple[IntegrationError, ...]:
     # A mesh for smoothed kinks resolves these, and no jumps.
     model = fit._moved.model if fit.smoothing and fit._moved else fit.model
     found = []
-    for record, run in zip(fit.records, fit._runs(), strict=True):
+    for record, run in zip(fit.records, dataset(fit), strict=True):
         edges, errors, scales = _core.integration_error(
             model._core,
             records_of(model, [run])[0],

@@ -27,7 +27,6 @@ from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult, dataset
 from ..solvers import Newton
 from ..solvers.solution import Deadline, check_time, interrupts
-from ..transcription import Transcription
 from .starts import Outcome, Problem
 
 __all__ = [
@@ -387,19 +386,16 @@ def common_to(fit: FitResult, caller: str) -> dict[str, Any]:
         raise OptionError(f"{caller}: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}")
     if all(e.fixed for e in fit.parameters.values()):
         raise OptionError(f"{caller}: the fit has no free parameters")
+    filtered = fit.transcription if isinstance(fit.transcription, FilterError) else None
     return {
         "model": fit.model,
         "experiments": tuple(dataset(fit)),
-        "transcription": _without_limit(fit.transcription),
+        # The time limit of the filter-error method was that of the fit itself.
+        "transcription": replace(filtered, time_limit=None) if filtered else fit.transcription,
         "noise": fit.noise,
-        "solver": None if isinstance(fit.transcription, FilterError) else NEAR,  # which has its own
+        "solver": None if filtered else NEAR,  # which has its own
         "base": replace(fit, history=()),
     }
-
-
-def _without_limit(transcription: Transcription | FilterError) -> Transcription | FilterError:
-    """Return the transcription without its time limit, which was that of the fit itself."""
-    return replace(transcription, time_limit=None) if isinstance(transcription, FilterError) else transcription
 
 
 def run_all(

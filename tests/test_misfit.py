@@ -337,7 +337,7 @@ def test_of_process_noise_innovations_are_looked_at() -> None:
 
 
 def test_bands_need_more_than_chance() -> None:
-    from phugoid.residual_noise.series import channel_series
+    from phugoid.residual_noise import channel_series
 
     said = [spectrum_of(channel_series([record(az=white(seed))], "az"), 1e-3).bands for seed in range(40)]
     assert sum(map(bool, said)) <= 1

@@ -21,7 +21,7 @@ from .reconstruction import Reconstruction, VanePlaces
 from .records import Record
 from .regression import EquationError
 from .regression.selected_terms import SelectedTerms, SelectionStep
-from .sensitivities.trajectory import Place, Points
+from .sensitivities import Place, Points
 from .simulation import IntegrationError
 from .solvers import Iteration
 from .uncertainty.bands import Bands

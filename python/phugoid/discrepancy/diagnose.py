@@ -21,6 +21,7 @@ from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
 from .candidates.library import candidates as library
 from .discrimination import advice_of
+from .search import Search, SearchResult
 from .search.confirmation import Found
 from .search.data_suspects import (
     with_changes,
@@ -42,14 +43,11 @@ from .search.findings import (
 )
 from .search.other_laws import other_laws, words_of_laws
 from .search.record_change import RecordChange
-from .search.recorded_input import RecordedInput
+from .search.recorded_input import RecordedInput, SampledInputs
 from .search.refit import Refit
 from .search.remainder import Remainder, RemainderSettings
-from .search.restart import Restart, restarted
-from .search.sampled_input import SampledInputs
 from .search.scan import NEARLY, Scan
-from .search.search import Search, SearchResult
-from .search.segments import segments_of
+from .search.segments import Restart, restarted, segments_of
 from .search.stand_ins import without_stand_ins
 from .search.thinning import thinned
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from .series import Series
+from . import Series
 
 __all__ = [
     "Autoregression",

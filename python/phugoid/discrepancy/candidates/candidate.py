@@ -15,7 +15,7 @@ from ...errors import ModelError, did_you_mean
 from ...modelling.declared import Key
 from ...modelling.model import Model
 from ...parameters import Parameter
-from ...sensitivities.trajectory import Place, Points
+from ...sensitivities import Place, Points
 from .scales import Scales, of
 
 __all__ = [

@@ -24,7 +24,7 @@ from ...modelling.declared import Key
 from ...modelling.model import Model
 from ...notebook import notebook_page, table
 from ...parameters import text_table
-from ...sensitivities.trajectory import Place, Points
+from ...sensitivities import Place, Points
 from .candidate import Candidate, Effect
 from .scales import Scales
 

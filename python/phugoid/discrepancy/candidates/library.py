@@ -11,7 +11,7 @@ from typing import Any, Literal
 from ..._core import Expr
 from ...errors import ModelError, OptionError, did_you_mean
 from ...modelling.model import Model
-from ...sensitivities.trajectory import Place, Points
+from ...sensitivities import Place, Points
 from ..misfit.phrases import per_second
 from .candidate import Effect, unused
 from .channel_effects import (

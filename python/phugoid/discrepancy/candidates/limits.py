@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...functions import smooth_abs, smooth_step, tanh
 from ...modelling.model import Model
-from ...sensitivities.trajectory import Points
+from ...sensitivities import Points
 from ..misfit.phrases import per_second
 from .candidate import Effect, ExtensionBuilder
 from .channel_effects import channel

@@ -18,8 +18,8 @@ from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ..candidates.candidate import Candidate
 from ..misfit.phrases import number
+from ..search import Search, SearchResult
 from ..search.refit import Refit
-from ..search.search import Search, SearchResult
 from .candidate_manoeuvres import GREATEST, KINDS, CandidateManoeuvre, CandidateManoeuvres
 
 __all__ = [

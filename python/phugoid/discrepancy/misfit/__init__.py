@@ -28,7 +28,7 @@ from ...figures import (
 from ...fit_result import FitResult
 from ...notebook import Html, bullets, notebook_page, sparkline, table
 from ...records import Record
-from ...residual_noise.series import channel_series, residual_of, resolution_of
+from ...residual_noise import channel_series, residual_of, resolution_of
 from .channel import ChannelMisfit, channel_misfit
 from .phrases import number, per_second, what_stands_out
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...residual_noise import WITHIN, Series, autocorrelation_of, same_rate
 from ...residual_noise.autoregression import (
     Autoregression,
     CorrelatedNoise,
@@ -18,7 +19,6 @@ from ...residual_noise.autoregression import (
     spectrum_of,
     tones_of,
 )
-from ...residual_noise.series import WITHIN, Series, autocorrelation_of, same_rate
 from .phrases import channel_phrases, number
 from .regimes import Dependence, Regime, Running, Span, correlations_of, regimes_of, spans_of
 

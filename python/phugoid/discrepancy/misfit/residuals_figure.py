@@ -27,8 +27,8 @@ from ...figures import (
 from ...figures.fit import choose_record, sigmas_of
 from ...fit_result import FitResult
 from ...records import Record
+from ...residual_noise import Series, autocorrelation_of, channel_series
 from ...residual_noise.autoregression import spectrum_of
-from ...residual_noise.series import Series, autocorrelation_of, channel_series
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

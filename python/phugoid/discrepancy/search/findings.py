@@ -10,6 +10,7 @@ import numpy as np
 from ...fit_result import FitResult
 from ..candidates.terms import where
 from ..misfit.phrases import number, per_second, percent
+from . import SearchResult
 from .confirmation import Found
 from .disturbance import Disturbance
 from .evidence import is_physical
@@ -18,7 +19,6 @@ from .record_change import RecordChange
 from .recorded_input import RecordedInput
 from .refit import Refit
 from .remainder import Remainder
-from .search import SearchResult
 
 __all__ = ["finding_of", "finding_of_record_change", "finding_of_recorded_input", "finding_of_remainder", "no_optimum"]
 

@@ -20,10 +20,10 @@ from ...sensitivities.linearised import Linearised
 from ...solvers import Newton
 from ..candidates.candidate import Candidate, Effect, is_function
 from ..candidates.terms import where
+from . import Search
 from .evidence import is_physical
 from .free_run import Misfitting, Simulated
 from .refit import Refit, fitted_to, on_other_data, started_from
-from .search import Search
 
 __all__ = ["OtherLaw", "other_laws", "words_of_laws"]
 

@@ -18,8 +18,8 @@ from ...frozen_model import estimates_of, freed_by_default, freeze_model, freeze
 from ...modelling.model import Model
 from ...parameters import Estimates
 from ...residual_noise.whitening import Filter
+from ...sensitivities import Points
 from ...sensitivities.linearised import Linearised
-from ...sensitivities.trajectory import Points
 from ...sensitivities.whitened import Whitened, joint_whitening, own_whitening
 from ...solvers import Newton
 from ...solvers.solution import check_time

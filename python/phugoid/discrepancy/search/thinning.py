@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...data.experiment import Experiment
 from ...data.filtering import EVEN, Signal
 from ...fit_result import dataset
-from ...residual_noise.series import resolution_of
+from ...residual_noise import resolution_of
 from ...residual_noise.whitening import Whitening
 from .refit import Refit, fitted_to
 

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...parameters import Estimates
-from ...sensitivities.trajectory import Place
+from ...sensitivities import Place
 from ..candidates.candidate import Candidate, Effect, is_function
 from ..candidates.scales import Scales
 from ..candidates.terms import tabulated, where
+from . import Search, SearchResult
 from .disturbance import BENDS, Disturbance, functions
 from .evidence import is_physical
 from .free_run import Explained
 from .refit import Refit, refit
-from .search import Search, SearchResult
 
 __all__ = ["UnknownFunction", "formula", "terms_of", "unknown_function"]
 

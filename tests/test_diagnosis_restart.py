@@ -12,6 +12,7 @@ import pytest
 from hidden import Case, make
 
 import phugoid as ph
+from phugoid.discrepancy.search import segments
 
 
 @functools.cache

@@ -76,7 +76,8 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES
     from .regression.term_selection import monomials
     from .result import Fit
     from .simulation import simulate
-    from .solvers import Ipopt, Newton
+    from .solvers.ipopt import Ipopt
+    from .solvers.newton import Newton
     from .transcription import Collocation, MultipleShooting, SingleShooting
 
 _NAMESPACES = ("design", "functions", "linear", "models", "results")
@@ -111,7 +112,8 @@ _PLACES = {
     "regression.term_selection": "monomials",
     "result": "Fit",
     "simulation": "simulate",
-    "solvers": "Ipopt Newton",
+    "solvers.ipopt": "Ipopt",
+    "solvers.newton": "Newton",
     "transcription": "Collocation MultipleShooting SingleShooting",
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names.split()}

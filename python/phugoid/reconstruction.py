@@ -24,7 +24,7 @@ from .parameters import Estimate, plus_minus, text_table
 from .records import Record
 from .regression.least_squares import SmoothingSpline
 from .result import Fit
-from .solvers.solution import limited
+from .solvers import limited
 from .summary import corrected as with_coloured_errors
 
 if TYPE_CHECKING:

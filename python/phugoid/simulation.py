@@ -20,7 +20,7 @@ from .fit_result import FitResult, dataset
 from .initialisation import measured_states
 from .modelling.model import Model
 from .records import Record, record_of
-from .solvers.solution import limited
+from .solvers import limited
 from .transcription import Collocation, records_of
 
 if TYPE_CHECKING:

@@ -26,8 +26,8 @@ from .modelling.noise import Noise
 from .notebook import bullets, overview, sparkline
 from .parameters import Estimates, estimates_html, estimates_table, facts_text, text_table
 from .records import Record, only
-from .solvers import Iteration, Newton
-from .solvers.solution import limited
+from .solvers import Iteration, limited
+from .solvers.newton import Newton
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,7 +17,7 @@ from ..api import load_fit
 from ..errors import OptionError
 from ..fit_result import ENDED_WELL
 from ..result import Fit
-from ..solvers import Newton
+from ..solvers.newton import Newton
 from ..validation import Validation
 from .model_file import load_source
 from .options import (

@@ -21,8 +21,9 @@ from ..filter_error import FilterError
 from ..goodness_of_fit import Tolerance
 from ..modelling.model import Model
 from ..result import Fit
-from ..solvers import Ipopt, Newton
-from ..solvers.solution import Iteration, Progress
+from ..solvers import Iteration, Progress
+from ..solvers.ipopt import Ipopt
+from ..solvers.newton import Newton
 from ..transcription import Collocation, Transcription
 
 __all__ = [

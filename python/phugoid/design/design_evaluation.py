@@ -24,7 +24,7 @@ from ..records import Record, record_of
 from ..sensitivities.linearised import Linearised
 from ..sensitivities.tangents import parameter_sensitivities
 from ..simulation import first_values, simulate
-from ..solvers import Newton
+from ..solvers.newton import Newton
 from ..transcription import Collocation, SingleShooting
 from .plan import Criterion, Excursion, Information, Plan, Plans
 

@@ -13,7 +13,7 @@ from ..data.experiment import Experiment
 from ..errors import EvaluationError, OptionError, whole
 from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..solvers.solution import check_time, limited
+from ..solvers import check_time, limited
 from .design_evaluation import plan
 from .plan import Criterion, Plan, criterion_of
 from .steps import number

@@ -15,7 +15,7 @@ from ..errors import DataError, ModelError, OptionError, did_you_mean
 from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult
 from ..sensitivities.tangents import collocated
-from ..solvers.solution import Deadline, check_time, interrupts, limited, one_blas_thread
+from ..solvers import Deadline, check_time, interrupts, limited, one_blas_thread
 from ..validation import shared
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
@@ -47,9 +47,8 @@ from .search.recorded_input import RecordedInput, SampledInputs
 from .search.refit import Refit
 from .search.remainder import Remainder, RemainderSettings
 from .search.scan import NEARLY, Scan
-from .search.segments import Restart, restarted, segments_of
+from .search.segments import Restart, restarted, segments_of, thinned
 from .search.stand_ins import without_stand_ins
-from .search.thinning import thinned
 
 __all__ = [
     "candidates_given",

@@ -18,8 +18,9 @@ from ..initialisation import start_values
 from ..modelling.model import Model
 from ..modelling.noise import Noise, not_noise
 from ..regression import EquationError
-from ..solvers import HINTS, Ipopt, Iteration, Newton
-from ..solvers.solution import Deadline, interrupts
+from ..solvers import HINTS, Deadline, Iteration, interrupts
+from ..solvers.ipopt import Ipopt
+from ..solvers.newton import Newton
 from ..transcription import Collocation, MultipleShooting, SingleShooting, Transcription
 from .core import Earlier, estimated, make_fit
 from .filter_fit import better, doubtful, filter_error

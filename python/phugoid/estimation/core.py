@@ -23,9 +23,9 @@ from ..modelling.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates
 from ..records import Record, record_of, repeated_outputs
 from ..regression import EquationError
-from ..solvers import Ipopt, Iteration, Newton, Solution
-from ..solvers.newton import solution_of
-from ..solvers.solution import Progress
+from ..solvers import Iteration, Progress, Solution
+from ..solvers.ipopt import Ipopt
+from ..solvers.newton import Newton, solution_of
 from ..transcription import Collocation, Transcription, records_of, step_spec
 
 __all__ = ["Earlier", "estimated", "make_fit"]

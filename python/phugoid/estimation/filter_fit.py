@@ -20,9 +20,8 @@ from ..fit_result import FitResult
 from ..initialisation import check_names, parameter_start, spread, state_start
 from ..modelling.model import Model
 from ..modelling.noise import Gaussian, Noise
-from ..solvers import Iteration
+from ..solvers import Deadline, Iteration, Progress, TimeUp
 from ..solvers.newton import Minimum, bounded_step, minimise
-from ..solvers.solution import Deadline, Progress, TimeUp
 from .filter_variables import Objective, Separated, intensity_start, make_filter_fit, split
 
 __all__ = ["better", "doubtful", "filter_error"]

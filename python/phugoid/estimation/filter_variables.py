@@ -27,9 +27,8 @@ from ..modelling.model import Model
 from ..modelling.noise import Noise
 from ..parameters import Estimate, Estimates
 from ..records import Record, record_of, repeated_outputs
-from ..solvers import HINTS
+from ..solvers import HINTS, Deadline, TimeUp
 from ..solvers.newton import Minimum
-from ..solvers.solution import Deadline, TimeUp
 from ..transcription import records_of
 
 __all__ = [

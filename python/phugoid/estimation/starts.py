@@ -17,7 +17,7 @@ from ..fit_result import FitResult
 from ..initialisation import check_names, parameter_start, spread, state_start
 from ..modelling.model import Model
 from ..modelling.noise import Noise, Sigma
-from ..solvers import Newton
+from ..solvers.newton import Newton
 from ..transcription import Transcription
 from . import estimate
 

@@ -25,8 +25,8 @@ from typing import Any, TypeAlias
 from ..errors import OptionError, check_progress
 from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult, dataset
-from ..solvers import Newton
-from ..solvers.solution import Deadline, check_time, interrupts
+from ..solvers import Deadline, check_time, interrupts
+from ..solvers.newton import Newton
 from .starts import Outcome, Problem
 
 __all__ = [

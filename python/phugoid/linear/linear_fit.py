@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
 from ..errors import DataError, check_progress, whole
-from ..solvers.solution import Iteration, Progress, check_time, limited
+from ..solvers import Iteration, Progress, check_time, limited
 from .modal_blocks import ModalBlocks, best_places
 from .modal_regression import Layout, ModalRegression, identified, path, regression, rows, samples_of
 from .sampled import Answers, Sampled, chosen_outputs, triangle

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..solvers.solution import check_time
+from ..solvers import check_time
 from .modal_regression import ModalRegression, rows
 from .sampled import Answers, Sampled, triangle
 

@@ -29,7 +29,7 @@ from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..modelling.noise import Noise, not_noise
 from ..saving import files as io
-from ..solvers.solution import limited
+from ..solvers import limited
 from ..transcription import Collocation, MultipleShooting, SingleShooting, Transcription
 from ..writing import sealed, unsealed
 from .result import Multistart

@@ -30,7 +30,7 @@ from .equations import (
     unknowns_of,
 )
 from .least_squares import Differentiator, FourierSmoothing, Regression, SavitzkyGolay, SmoothingSpline, regress
-from .selected_terms import SelectedTerms, TermSelection, check_keep, term_selection
+from .selected_terms import SelectedTerms, TermSelection, check_keep, selection_options
 from .term_selection import select_terms, with_candidates, without
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ def equation_error(
     others = [] if held_out is None else as_experiments(held_out, "equation_error: held_out")
     if not isinstance(model, Model):
         raise ModelError(f"equation_error: the first argument is a Model, not a {type(model).__name__}")
-    options = None if select is None else term_selection(select)
+    options = None if select is None else selection_options(select)
     if options is None and others:
         raise OptionError(
             "equation_error: held_out is for a selection of terms: give select='stepwise' or another, too"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["SelectedTerms", "SelectionStep", "TermSelection", "check_keep", "reason", "term_selection"]
+__all__ = ["SelectedTerms", "SelectionStep", "TermSelection", "check_keep", "reason", "selection_options"]
 
 Method: TypeAlias = Literal["stepwise", "all", "orthogonal"]
 Criterion: TypeAlias = Literal["press", "pse", "held_out"]
@@ -92,7 +92,7 @@ class TermSelection:
         return "pse" if self.method == "orthogonal" else "held_out" if held_out else "press"
 
 
-def term_selection(given: Any) -> TermSelection:
+def selection_options(given: Any) -> TermSelection:
     """Return the options of a selection, given as such or by the name of the method; raise OptionError for others."""
     if isinstance(given, TermSelection):
         return given

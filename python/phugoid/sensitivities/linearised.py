@@ -20,7 +20,7 @@ from ..fit_result import FitResult, dataset
 from ..initialisation import spread
 from ..residual_noise import uniform_segments
 from ..residual_noise.whitening import RowStructure
-from ..solvers.solution import check_time, time_is_up
+from ..solvers import check_time, time_is_up
 from ..transcription import Collocation
 from . import AddedTerm, Derivatives, Place, Points
 

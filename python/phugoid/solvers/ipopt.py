@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from ..errors import EvaluationError, OptionError
+from . import HINTS, Deadline, Iteration, Solution, check_limits, interrupts
 from .ipopt_callbacks import (
     STATUS,
     Callbacks,
@@ -22,7 +23,6 @@ from .ipopt_callbacks import (
     scale_from_curvature,
     scale_from_data,
 )
-from .solution import HINTS, Deadline, Iteration, Solution, check_limits, interrupts
 
 __all__ = ["Ipopt"]
 

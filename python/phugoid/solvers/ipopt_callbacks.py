@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from ..errors import MissingDependency
-from .solution import Deadline, Iteration
+from . import Deadline, Iteration
 
 __all__ = ["STATUS", "Callbacks", "Scaling", "load_cyipopt", "scale_from_curvature", "scale_from_data"]
 

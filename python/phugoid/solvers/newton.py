@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from ..errors import OptionError
-from .solution import Deadline, Iteration, Solution, check_limits
+from . import Deadline, Iteration, Solution, check_limits
 
 __all__ = ["Minimum", "Newton", "bounded_step", "minimise", "solution_of"]
 

@@ -21,7 +21,7 @@ from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult
 from ..notebook import Rows, overview, sparkline
 from ..parameters import Estimates, text_table
-from ..solvers.solution import limited
+from ..solvers import limited
 from .filtered import of_fit
 from .resample import Blocks, ColouredNoise, Parametric, Resampler, block_length
 

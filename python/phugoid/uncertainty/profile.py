@@ -19,7 +19,7 @@ from ..figures import GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
 from ..fit_result import FitResult
 from ..notebook import Html, Rows, overview, sparkline
 from ..parameters import text_table
-from ..solvers.solution import limited
+from ..solvers import limited
 from .coloured import coloured as corrected
 from .profile_search import End, Side, Sides
 

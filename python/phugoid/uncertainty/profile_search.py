@@ -16,7 +16,7 @@ from ..estimation.starts import Outcome, Problem
 from ..fit_result import ENDED_WELL, FitResult
 from ..modelling.model import Model
 from ..parameters import Estimates, Parameter
-from ..solvers.solution import check_time
+from ..solvers import check_time
 
 __all__ = ["End", "Side", "Sides"]
 

@@ -1,4 +1,6 @@
-"""The third stage of the search: which refit is confirmed by data held out, and what the data do not tell from it."""
+"""The second and third stage of the search: candidates fitted with the model, and replaced by others that explain more;
+which refit is confirmed by data held out, and what the data do not tell from it.
+"""
 
 from __future__ import annotations
 

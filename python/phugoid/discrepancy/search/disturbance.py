@@ -20,7 +20,7 @@ from ...residual_noise.whitening import Filter, Whitening
 from ...sensitivities import Place, Points
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.whitened import Marginal, RandomEffects, at_knots
-from ...solvers.solution import check_time
+from ...solvers import check_time
 from ..candidates.scales import levels_of
 from .refit import Refit
 

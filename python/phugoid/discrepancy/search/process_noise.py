@@ -1,9 +1,15 @@
-"""A random disturbance at a place of a model by the filter-error method, white or through a shaping filter.
+"""A random disturbance at a place of a model by the filter-error method, white or through a shaping filter; and whether it
+is one event, of which the rest of the records, and data held out, are free.
 
 A random time history about a fit is linear in what it does. Where gusts move the vehicle far from the path that the
 model simulates without them, and bias its parameters, that is no approximation: the filter-error method follows the
 measured path. Gusts are not white: w' = -w / tau + q n with white noise n is added to an equation, to an input, or to a
 state as the forces have it (Jategaonkar 2015, ch. 5; Dryden's spectra begin so).
+
+An event and a stationary disturbance both explain a short burst. An event biases all parameters of the fit, so that
+neither its own likelihood about that fit nor that of the noise says which of them it is. The parameters are
+re-estimated from the records without the span instead: of an event nothing is left in them, of process noise all but
+the span.
 """
 
 from __future__ import annotations
@@ -23,8 +29,8 @@ from ...frozen_model import freeze_model, freeze_noise
 from ...modelling.model import Model
 from ...parameters import Parameter
 from ...sensitivities import Place
-from ...solvers import Newton
-from ...solvers.solution import Deadline, check_time
+from ...solvers import Deadline, check_time
+from ...solvers.newton import Newton
 from ..candidates.candidate import unused
 from .disturbance import Disturbance, histories_at
 from .evidence import is_structured

@@ -19,7 +19,7 @@ from ...modelling.model import Model
 from ...parameters import Parameter
 from ...sensitivities import Place
 from ...sensitivities.linearised import Linearised
-from ...solvers import Newton
+from ...solvers.newton import Newton
 from ..candidates.candidate import unused
 from ..candidates.model_structure import ModelStructure
 from ..candidates.terms import where

@@ -1,8 +1,12 @@
-"""Inputs that act otherwise than they are recorded: held between their samples, smooth there, or without the noise that
-their records have.
+"""Inputs that act otherwise than they are recorded: held between their samples, smooth there, without the noise that their
+records have, or changing faster than their samples tell.
 
 The output-error method takes inputs as known. Noise on a recorded input acts like process noise in the model's response
 and biases the estimates (Jategaonkar 2015, ch. 5): where the data say so, the noise is filtered out of the record.
+
+A step that happens between two samples is recorded as a ramp over the whole of that interval. Its area is wrong by as
+much as the step times half the interval, which the outputs show, and which no term of the physics explains. What an
+input was halfway through such an interval is a random effect with a marginal likelihood, as a disturbance is.
 """
 
 from __future__ import annotations

@@ -21,8 +21,8 @@ from ...residual_noise.whitening import Filter
 from ...sensitivities import Points
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.whitened import Whitened, joint_whitening, own_whitening
-from ...solvers import Newton
-from ...solvers.solution import check_time
+from ...solvers import check_time
+from ...solvers.newton import Newton
 from ..candidates.candidate import Candidate
 
 __all__ = [

@@ -15,7 +15,7 @@ from ...fit_result import FitResult
 from ...frozen_model import freed_by_default
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.linearised import Linearised
-from ...solvers.solution import check_time
+from ...solvers import check_time
 from ..candidates.candidate import Candidate, with_other_centres
 from .refit import Refit, on_other_data, refit
 from .ringing import Ringing, light_modes, ringing_of

@@ -22,9 +22,9 @@ from . import Search, SearchResult
 from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of, powers_of
 from .evidence import is_structured
 from .free_run import LEAST, Explained, Misfitting, Simulated
+from .other_laws import formula, terms_of, unknown_function
 from .process_noise import FilterErrorRefit, filtered, filtered_elsewhere, single_event
 from .refit import Refit, fitted_to
-from .unknown_function import formula, terms_of, unknown_function
 
 __all__ = ["Remainder", "RemainderSettings", "remainder_of"]
 

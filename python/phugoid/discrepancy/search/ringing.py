@@ -1,4 +1,5 @@
-"""Residuals that ring at a lightly damped mode of the model, and noise that does not.
+"""Residuals that ring at a lightly damped mode of the model, and noise that does not; sensors that wander, beside which a
+drift must be the likelier cause.
 
 A term that the model lacks drives the vehicle, which answers at its modes. Where one is lightly damped the residual
 rings at its frequency, as narrow in the spectrum as noise of a sharp resonance would be; an autoregressive model learns
@@ -9,6 +10,10 @@ Sensors have no such noise: what rings at a mode has come through the vehicle, b
 missing. So there is a second model of the noise, the same but for its poles near lightly damped modes, which are damped
 well. It does not tell turbulence from a missing term, and so nothing is named by it; but it shows that there is one of
 the two.
+
+The sum of many small steps rises or falls over a record by chance, and a straight line fits it better than stationary
+noise does, the more significantly the longer the record is (Granger and Newbold 1974, Durlauf and Phillips 1988). A
+drift of a sensor, or of a parameter, is known for one only where the line is likelier than a walk.
 """
 
 from __future__ import annotations
@@ -28,7 +33,7 @@ from ...residual_noise.whitening import Whitening
 from ...sensitivities import Place
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.whitened import RandomEffects, Whitened, at_knots
-from ...solvers.solution import check_time
+from ...solvers import check_time
 from .refit import Refit
 
 __all__ = [

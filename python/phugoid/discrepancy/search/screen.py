@@ -1,4 +1,6 @@
-"""The first stage of the search: which candidates are worth a refit, by one linearisation of a fit."""
+"""The first stage of the search: which candidates are worth a refit, by one linearisation of a fit; and the simplest of
+several terms that explain the same data equally well.
+"""
 
 from __future__ import annotations
 

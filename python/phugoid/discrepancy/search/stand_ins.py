@@ -1,8 +1,14 @@
-"""Named terms that stand in for something that no candidate describes.
+"""Named terms that stand in for something that no candidate describes, and whether residuals are a motion that the model
+does not have, or noise of a sensor.
 
 Of a misfit that has its cause outside of all candidates, the nearest of some hundred explains a part, significantly,
 and data held out confirm that part. What tells it from a cause is what it leaves. Beside a cause noise is left, or
 another cause is found; a stand-in leaves a motion that the model does not have, larger than what it explains.
+
+A motion persists over the time in which the vehicle itself hardly moves, noise of a sensor does not. The prediction
+from one sample to the next says less: of two records of one motion that with more samples is the better predicted,
+and so is its noise where that is coloured. A lag in seconds, which follows from the fitted motion, is the same at any
+sampling rate.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A random disturbance at a place of a model by the filter-error method, white or through a shaping filter; and whether it
-is one event, of which the rest of the records, and data held out, are free.
+"""A random disturbance at a place of a model by the filter-error method, white or through a shaping filter; and
+whether it is one event, of which the rest of the records, and data held out, are free.
 
 A random time history about a fit is linear in what it does. Where gusts move the vehicle far from the path that the
 model simulates without them, and bias its parameters, that is no approximation: the filter-error method follows the

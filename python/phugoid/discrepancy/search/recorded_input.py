@@ -1,5 +1,5 @@
-"""Inputs that act otherwise than they are recorded: held between their samples, smooth there, without the noise that their
-records have, or changing faster than their samples tell.
+"""Inputs that act otherwise than they are recorded: held between their samples, smooth there, without the noise that
+their records have, or changing faster than their samples tell.
 
 The output-error method takes inputs as known. Noise on a recorded input acts like process noise in the model's response
 and biases the estimates (Jategaonkar 2015, ch. 5): where the data say so, the noise is filtered out of the record.

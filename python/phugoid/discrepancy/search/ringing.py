@@ -1,5 +1,5 @@
-"""Residuals that ring at a lightly damped mode of the model, and noise that does not; sensors that wander, beside which a
-drift must be the likelier cause.
+"""Residuals that ring at a lightly damped mode of the model, and noise that does not; sensors that wander, beside
+which a drift must be the likelier cause.
 
 A term that the model lacks drives the vehicle, which answers at its modes. Where one is lightly damped the residual
 rings at its frequency, as narrow in the spectrum as noise of a sharp resonance would be; an autoregressive model learns

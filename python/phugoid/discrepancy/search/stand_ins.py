@@ -1,5 +1,5 @@
-"""Named terms that stand in for something that no candidate describes, and whether residuals are a motion that the model
-does not have, or noise of a sensor.
+"""Named terms that stand in for something that no candidate describes, and whether residuals are a motion that the
+model does not have, or noise of a sensor.
 
 Of a misfit that has its cause outside of all candidates, the nearest of some hundred explains a part, significantly,
 and data held out confirm that part. What tells it from a cause is what it leaves. Beside a cause noise is left, or

@@ -16,7 +16,7 @@ import pytest
 from matplotlib import pyplot as plt
 
 import phugoid as ph
-from phugoid.discrepancy.misfit import misfit
+from phugoid.discrepancy.misfit.misfit import misfit
 from phugoid.discrepancy.page import diagnosis_summary, headline, outcome, report
 from phugoid.discrepancy.page.figures import explained_figure, findings_figure, gain_figure, ranking_figure
 from phugoid.discrepancy.search.finding import DiagnosisResult, Finding, Scored

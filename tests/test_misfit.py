@@ -19,8 +19,8 @@ from records import find
 from scipy.signal import lfilter
 
 import phugoid as ph
-from phugoid.discrepancy.misfit import misfit
-from phugoid.discrepancy.misfit.channel import ChannelMisfit
+from phugoid.discrepancy.misfit import ChannelMisfit
+from phugoid.discrepancy.misfit.misfit import misfit
 from phugoid.errors import DataError, UnknownName
 from phugoid.modelling.declared import rebuilt
 from phugoid.records import Record

@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES
     from .design.detection import manoeuvres
     from .diagnosing import diagnose, improve
     from .discrepancy.candidates.library import candidates
-    from .discrepancy.misfit import misfit
+    from .discrepancy.misfit.misfit import misfit
     from .errors import DataError, EvaluationError, MissingDependency, ModelError, OptionError, PhugoidError
     from .export import export_c
     from .export.fmu import export_fmu
@@ -62,7 +62,7 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES
         where,
     )
     from .goodness_of_fit import Tolerance, match
-    from .many_starts import multistart
+    from .many_starts.multistart import multistart
     from .modelling.declared import State
     from .modelling.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
     from .modelling.model import Model
@@ -70,7 +70,7 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES
     from .parameters import Parameter
     from .petab.problem import read_petab
     from .reconstruction import reconstruct
-    from .regression import equation_error
+    from .regression.equation_error import equation_error
     from .regression.least_squares import FourierSmoothing, SavitzkyGolay, SmoothingSpline
     from .regression.selected_terms import TermSelection
     from .regression.term_selection import monomials
@@ -90,7 +90,7 @@ _PLACES = {
     "design.detection": "manoeuvres",
     "diagnosing": "diagnose improve",
     "discrepancy.candidates.library": "candidates",
-    "discrepancy.misfit": "misfit",
+    "discrepancy.misfit.misfit": "misfit",
     "errors": "DataError EvaluationError MissingDependency ModelError OptionError PhugoidError",
     "export": "export_c",
     "export.fmu": "export_fmu",
@@ -98,7 +98,7 @@ _PLACES = {
     "functions": "Table acos asin atan atan2 cos cosh exp expm1 from_sympy hypot log log1p maximum minimum sign sin "
     "sinh smooth_abs smooth_max smooth_min smooth_sign smooth_step sqrt tan tanh where",
     "goodness_of_fit": "Tolerance match",
-    "many_starts": "multistart",
+    "many_starts.multistart": "multistart",
     "modelling.declared": "State",
     "modelling.densities": "Density Huber Laplace PerExperiment PerOutput StudentT",
     "modelling.model": "Model",
@@ -106,7 +106,7 @@ _PLACES = {
     "parameters": "Parameter",
     "petab.problem": "read_petab",
     "reconstruction": "reconstruct",
-    "regression": "equation_error",
+    "regression.equation_error": "equation_error",
     "regression.least_squares": "FourierSmoothing SavitzkyGolay SmoothingSpline",
     "regression.selected_terms": "TermSelection",
     "regression.term_selection": "monomials",

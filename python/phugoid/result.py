@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ._core import Expr
     from .data.experiment import Experiment
     from .diagnosis import Diagnosis, Improvement
-    from .discrepancy.misfit import Misfit
+    from .discrepancy.misfit.misfit import Misfit
     from .estimation.starts import Outcome
     from .goodness_of_fit import Tolerance
     from .parameters import Estimates
@@ -89,7 +89,7 @@ class Fit(FitResult):
     def misfit(self) -> Misfit:
         """Return what the model gets wrong, by output: when, in which regime, at which frequencies; see
         `phugoid.misfit`."""
-        from .discrepancy.misfit import misfit
+        from .discrepancy.misfit.misfit import misfit
 
         return misfit(self)
 

@@ -5,7 +5,7 @@ from .design.plan import Excursion, Plan, Plans
 from .diagnosis import Diagnosis, Extension, Improvement
 from .discrepancy.candidates.candidate import Candidate
 from .discrepancy.candidates.collection import Candidates
-from .discrepancy.misfit import Misfit
+from .discrepancy.misfit.misfit import Misfit
 from .discrepancy.search.finding import Finding, Gain, Scored
 from .estimation.starts import Outcome
 from .fit_result import FitResult, Refinement, Smoothing
@@ -13,13 +13,13 @@ from .goodness_of_fit import Match
 from .linear.response import FrequencyResponse
 from .linear.state_space import Mode, Modes
 from .linear.trim import Trim
+from .many_starts import Multistart
 from .many_starts.optima import Optimum
-from .many_starts.result import Multistart
 from .parameters import Estimate
 from .petab.problem import PetabProblem
 from .reconstruction import Reconstruction, VanePlaces
 from .records import Record
-from .regression import EquationError
+from .regression.equation_error import EquationError
 from .regression.selected_terms import SelectedTerms, SelectionStep
 from .sensitivities import Place, Points
 from .simulation import IntegrationError

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from ..errors import EvaluationError, OptionError
-from ..many_starts import multistart
+from ..many_starts.multistart import multistart
 from ..petab.problem import PetabProblem, read_petab
 from ..solvers.newton import Newton
 from .options import JsonOption

@@ -17,7 +17,7 @@ from ..fit_result import FitResult
 from ..initialisation import start_values
 from ..modelling.model import Model
 from ..modelling.noise import Noise, not_noise
-from ..regression import EquationError
+from ..regression.equation_error import EquationError
 from ..solvers import HINTS, Deadline, Iteration, interrupts
 from ..solvers.ipopt import Ipopt
 from ..solvers.newton import Newton

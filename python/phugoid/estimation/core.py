@@ -22,7 +22,7 @@ from ..modelling.model import Model
 from ..modelling.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates
 from ..records import Record, record_of, repeated_outputs
-from ..regression import EquationError
+from ..regression.equation_error import EquationError
 from ..solvers import Iteration, Progress, Solution
 from ..solvers.ipopt import Ipopt
 from ..solvers.newton import Newton, solution_of

@@ -1,397 +1,335 @@
-"""Estimates from many starts, and their journal: one line of JSON for each finished start, so that a run can go on.
-
-The first line is a header that says which problem the journal belongs to. A line is written whole and at once; what a
-crash leaves of the last one is cut off when the journal is opened again. A journal serves one run at a time.
-"""
+"""The result of many starts: their outcomes, grouped by the optimum that they reached, with remarks on local ones."""
 
 from __future__ import annotations
 
-import json
-import os
-import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing, nullcontext, suppress
-from dataclasses import fields, replace
-from hashlib import sha256
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-import phugoid._core as _core
-
-from ..data.experiment import Experiment, as_experiments, completed
-from ..errors import DataError, ModelError, OptionError, check_progress, whole
-from ..estimation.starts import Draw, Given, Outcome, Problem, Range, Uniform, given, plain, uniform
-from ..estimation.workers import Crew, Watch, collect
-from ..filter_error import FilterError
+from ..errors import EvaluationError, OptionError, PhugoidError
+from ..estimation.starts import Outcome, Problem
 from ..fit_result import FitResult
-from ..modelling.model import Model
-from ..modelling.noise import Noise, not_noise
-from ..saving import files as io
-from ..solvers import limited
-from ..transcription import Collocation, MultipleShooting, SingleShooting, Transcription
-from ..writing import sealed, unsealed
-from .result import Multistart
+from ..notebook import Rows, bullets, overview
+from ..parameters import Parameter, facts_text, text_table
+from ..result import Fit
+from ..summary import _duration
+from ..tabular import package
+from .optima import LOG_LIKELIHOOD, PARAMETERS, Optimum, group, plot_waterfall, same
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
+    import pandas
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = [
-    "FORMAT",
-    "VERSION",
-    "Journal",
     "Multistart",
-    "fingerprint",
-    "multistart",
+    "at_bounds",
+    "below_best",
+    "local_optima",
 ]
 
 
-FORMAT = "phugoid-multistart"
-VERSION = 1
-
-Starts = Uniform | Given
+# A summary shows so many optima, so many of them with parameters, and so many numbers of starts that failed.
+_OPTIMA, _COLUMNS, _NUMBERS = 10, 4, 12
 
 
-def fingerprint(problem: Problem, starts: Starts) -> dict[str, Any]:
-    """Return all that determines an outcome, in parts that a message can name.
+@dataclass(frozen=True, eq=False, repr=False)
+class Multistart:
+    """The result of `multistart`.
 
-    Texts and numbers stand as they are, the model and the data as hashes. The number of threads, where equations stand
-    in the user's files, and data that the model does not use are left out.
-    """
-    document = json.loads(problem.model._equations_to_json())
-    for group in document.values():
-        for entry in group if isinstance(group, list) else ():
-            entry.pop("source", None)
-    mesh = problem.transcription
-    drawn = starts.ranges if isinstance(starts, Uniform) else None
-    parts = {
-        "model": _hash(json.dumps(document, sort_keys=True).encode()),
-        "data": {e.name: _data_hash(problem, e) for e in problem.experiments},
-        "transcription": repr(mesh if isinstance(mesh, FilterError) else replace(mesh, threads=0)),
-        "noise": problem.noise.to_dict(),
-        "solver": "default" if problem.solver is None else repr(problem.solver),
-        "start": {name: _brief(value) for name, value in problem.start.items()},
-        "ranges": {name: list(pair) for name, pair in drawn.items()} if drawn else "none: starts were given",
-        "seed": starts.seed if isinstance(starts, Uniform) else "none: starts were given",
-    }
-    return dict(json.loads(_line(parts)))
-
-
-class Journal:
-    """Finished starts in a file, read when it is opened and appended to from then on.
-
-    outcomes  number of the start -> what came of it, as read.
-    warnings  why starts finished since are not in the file, in words; empty where all are.
-
-    Raises DataError where the file cannot be used: it is no journal, it is that of another problem (the message says
-    what differs), a line within is damaged, or it cannot be read or written.
+    outcomes  what came of each start that is finished, in the order of their numbers.
+    n         how many starts were asked for.
+    status    "complete", or "interrupted" or "time limit" where outcomes are missing.
+    warnings  what went wrong with the executor or the journal, in words.
+    time      s, of the call; what a journal held already took none.
+    problem   what all starts share.
     """
 
-    def __init__(self, path: str | os.PathLike[str], problem: Problem, starts: Starts) -> None:
-        self.path = Path(path)
-        self.warnings: tuple[str, ...] = ()
-        header = {"format": FORMAT, "version": VERSION, "phugoid": _core.__version__, **fingerprint(problem, starts)}
-        first = _line(header)
-        try:
-            text = self.path.read_bytes() if self.path.exists() else b""
-            lines, sound = self._whole_lines(text, first)
-            self.outcomes = self._read(lines, header, starts)
-            # Without a buffer, which would be written once more when the file is closed.
-            self._file = open(self.path, "ab", buffering=0)  # noqa: SIM115
-            self._file.truncate(sound)
-            self._sound = sound
-            if not lines:
-                self._write(first)
-        except OSError as error:
-            raise DataError(f"journal {self.path}: cannot be read and written ({error.strerror})") from error
+    outcomes: tuple[Outcome, ...]
+    n: int
+    status: str
+    problem: Problem
+    warnings: tuple[str, ...] = ()
+    time: float = 0.0
 
-    def append(self, outcome: Outcome) -> None:
-        """Write one finished start; it is in the file when this returns.
+    @cached_property
+    def optima(self) -> tuple[Optimum, ...]:
+        """The optima that outcomes reached, best first: `group` with its default tolerances."""
+        return self.group()
 
-        Where the file cannot be written, as on a full disk, the run goes on without it, and ``warnings`` says so.
+    def group(self, log_likelihood: float = LOG_LIKELIHOOD, parameters: float = PARAMETERS) -> tuple[Optimum, ...]:
+        """Return the optima that outcomes reached, best first.
+
+        An outcome counts where it converged, where the data leave directions undetermined ("unidentifiable"), and where
+        only rounding kept it from its tolerances ("acceptable").
+        Two outcomes are the same optimum where their log-likelihoods differ by no more than ``log_likelihood``, and
+        each parameter by no more than ``parameters`` standard errors; one without standard error (it is at a bound,
+        or cannot be identified) by no more than that part of its value.
         """
-        if self.warnings:
-            return
-        entry = {f.name: getattr(outcome, f.name) for f in fields(outcome)}
-        # Arrays (paths of states) are told by their hash, as all of the start is.
-        entry["start"] = {name: value for name, value in outcome.start.items() if np.ndim(value) == 0}
-        line = _line(sealed(io._plain({**entry, "start_hash": _start_hash(outcome.start)})))
+        return group(self.outcomes, log_likelihood, parameters)
+
+    @cached_property
+    def best(self) -> Fit:
+        """The fit at the best optimum, with states, outputs and residuals.
+
+        Outcomes are kept without time histories, so it is solved again when first asked for: from the values of the
+        best outcome, and where this leads elsewhere, from its start. Where no start converged, it is the fit from the
+        start that reached the highest log-likelihood, or from the first where none ended at a solution of the
+        equations; ``best.status`` tells. Its warnings say where other starts ended at local optima.
+
+        Raises EvaluationError where no start led anywhere.
+        """
+        fit = self._solved_again()
+        others = local_optima(self.optima, len(self.outcomes))
+        return Fit._of(replace(fit, warnings=(*fit.warnings, *filter(None, [others]))))
+
+    def fit(self, index: int) -> Fit:
+        """Return the fit from one start, solved again, with states, outputs and residuals.
+
+        Where it ends at an optimum below the best one known, its warnings say that the optimum is local.
+        Raises OptionError for a number of no finished start.
+        """
+        outcome = next((o for o in self.outcomes if o.index == index), None)
+        if outcome is None:
+            raise OptionError(f"fit: start {index!r} is none of the {len(self.outcomes)} finished starts")
+        fit = self.problem.fit(outcome.start)
+        reached = replace(outcome, status=fit.status, log_likelihood=float(fit.log_likelihood))
+        remark = below_best(reached, self.optima, len(self.outcomes))
+        return Fit._of(replace(fit, warnings=(*fit.warnings, *filter(None, [remark]))))
+
+    def _solved_again(self) -> FitResult:
+        if not self.optima:
+            ended = [o for o in self.outcomes if o.parameters]
+            if not ended:
+                raise EvaluationError(f"none of the {len(self.outcomes)} starts led to an estimate\n{self._failures()}")
+            return self.problem.fit(max(ended, key=lambda o: float(np.nan_to_num(o.log_likelihood, nan=-np.inf))).start)
+        wanted = next(o for o in self.outcomes if o.index == self.optima[0].index)
+        fixed = {name for name, p in self.problem.model.declared_parameters.items() if p.fixed}
+        values = {name: value for name, value in wanted.parameters.items() if name not in fixed}
         try:
-            self._write(line)
-        except OSError as error:
-            self.warnings = (
-                f"journal {self.path}: cannot be written ({error.strerror}); the starts from number {outcome.index} on "
-                "are in this result alone",
-            )
-            with suppress(OSError):
-                self._file.truncate(self._sound)  # half a line
+            fit = self.problem.fit({**wanted.start, **values})
+        except PhugoidError:  # rounding has put a value outside its bounds
+            return self.problem.fit(wanted.start)
+        reached = Outcome(0, {}, fit.status, "", fit.log_likelihood, fit.parameters.to_dict())
+        return fit if reached.at_optimum and same(wanted, reached) else self.problem.fit(wanted.start)
 
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+    @property
+    def success_rate(self) -> float:
+        """Which part of the finished starts reached the best log-likelihood, 0 to 1; NaN where none is finished.
 
-    def _write(self, line: bytes) -> None:
-        left = memoryview(line)
-        while left:
-            left = left[self._file.write(left) :]
-        self._sound += len(line)
+        Where several optima have it, all count.
+        """
+        return sum(o.count for o in self._best_optima()) / len(self.outcomes) if self.outcomes else float("nan")
 
-    def _whole_lines(self, text: bytes, first: bytes) -> tuple[list[bytes], int]:
-        """Return the lines that are complete, and their number of bytes."""
-        sound = text.rfind(b"\n") + 1
-        if not sound and not first.startswith(text):
-            raise self._foreign("its first line is no header")
-        return text[:sound].splitlines(), sound
+    @property
+    def counts(self) -> dict[str, int]:
+        """Status -> how many finished starts have it, the commonest first."""
+        return dict(Counter(o.status for o in self.outcomes).most_common())
 
-    def _read(self, lines: list[bytes], header: Mapping[str, Any], starts: Starts) -> dict[int, Outcome]:
-        if not lines:
-            return {}
-        there = self._parsed(lines[0])
-        if not isinstance(there, dict) or there.get("format") != FORMAT:
-            raise self._foreign("its first line is no header")
-        if there.get("version") != VERSION:
-            raise self._foreign(f"it has version {there.get('version')!r} of the format instead of {VERSION}")
-        parts = [key for key in header if key not in ("format", "version", "phugoid")]
-        differing = [text for key in parts for text in _differences(key, there.get(key), header[key])]
-        if differing:
-            raise DataError(
-                f"journal {self.path}: belongs to another problem: {'; '.join(differing)}. "
-                "Name another file, or delete this one"
-            )
-        outcomes: dict[int, Outcome] = {}
-        names: set[str] = set()
-        for number, line in enumerate(lines[1:], 2):
-            try:
-                entry = self._parsed(line)
-                entry = unsealed(entry, "")
-                mark = entry.pop("start_hash")
-                outcome = _outcome(entry)
-                start = _start(starts, outcome.index)
-                if outcome.parameters and {*outcome.parameters} != names:
-                    if names:
-                        raise ValueError("parameters are the same in all outcomes")
-                    names = {*outcome.parameters}
-            except (ArithmeticError, AttributeError, KeyError, TypeError, ValueError):
-                raise DataError(f"journal {self.path}: line {number} is damaged; delete the line") from None
-            if start is None:
-                continue  # beyond the starts given now
-            if _start_hash(start) != mark:
-                raise DataError(
-                    f"journal {self.path}: belongs to another problem: start {outcome.index} differs. "
-                    "Name another file, or delete this one"
-                )
-            outcomes.setdefault(outcome.index, replace(outcome, start=start))
-        return outcomes
+    def summary(self) -> str:
+        """Plain text: which optima there are, how many starts reached them, and which starts failed how."""
+        parts = [facts_text(f"{self.problem.model.name}: multistart, {self.status}", self._entries())]
+        if self.optima:
+            more = self._more_optima()
+            parts.append(text_table(*self._optima_rows()) + (f"\n{more}" if more else ""))
+            parts += [text_table(*self._parameter_rows()), "\n".join(self._judgement())]
+        if any(not o.at_optimum for o in self.outcomes):
+            parts.append(self._failures())
+        return "\n\n".join(parts) + "".join(f"\n\nWarning: {w}" for w in self.warnings)
 
-    def _parsed(self, line: bytes) -> Any:
-        try:
-            return json.loads(line)
-        except (RecursionError, ValueError):
-            return None
+    def plot(self) -> tuple[Figure, dict[str, Axes]]:
+        """Draw the waterfall figure: how far below the best each start ended, in order; optima are plateaus.
 
-    def _foreign(self, why: str) -> DataError:
-        return DataError(f"{self.path}: is no journal of a multistart ({why}); name another file")
+        Returns the figure and its axes by name: ``"gap"``, and ``"not converged"`` where there are such starts.
+        """
+        rate = f", {100 * self.success_rate:.3g} % reached the best" if self.optima else ""
+        title = f"{self.problem.model.name}: {len(self.outcomes)} starts{rate}"
+        return plot_waterfall(self.outcomes, self.optima, title)
 
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return a table with one row a finished start, its number as index.
 
-def _outcome(entry: Mapping[str, Any]) -> Outcome:
-    """Return the outcome of a line's entries; TypeError or ValueError where one is not of its kind."""
-    known = {f.name for f in fields(Outcome)}
-    if not known.issuperset(entry) or not {"index", "start", "status"}.issubset(entry):
-        raise TypeError("other entries than an outcome has")
+        Columns: optimum (from 1, NA where none was reached), status, log_likelihood, iterations, time (s), message
+        (with a remark where the optimum is below the best one known);
+        then each parameter by its name, ``std_error_<name>``, and ``start_<name>`` of what was drawn or given.
+        Raises MissingDependency without pandas.
+        """
+        pd = package("pandas", "to_pandas")
+        number = {index: i for i, optimum in enumerate(self.optima, 1) for index in optimum.indices}
+        plain_fields = ("status", "log_likelihood", "iterations", "time", "message")
+        rows = [
+            {
+                "optimum": number.get(o.index),
+                **{name: getattr(o, name) for name in plain_fields},
+                "message": self._message(o),
+                **o.parameters,
+                **{f"std_error_{name}": value for name, value in o.std_errors.items()},
+                **{f"start_{name}": value for name, value in o.start.items()},
+            }
+            for o in self.outcomes
+        ]
+        frame = pd.DataFrame(rows, index=pd.Index([o.index for o in self.outcomes], name="start"))
+        # Where the first starts failed, their parameters would stand last.
+        names = ["optimum", *plain_fields]
+        for prefix, key in (("", "parameters"), ("std_error_", "std_errors"), ("start_", "start")):
+            names += dict.fromkeys(f"{prefix}{name}" for o in self.outcomes for name in getattr(o, key))
+        return frame.reindex(columns=names).astype({"optimum": "Int64"})
 
-    def numbers(name: str) -> dict[str, float]:
-        return {str(key): io.to_float(value) for key, value in dict(entry.get(name, {})).items()}
+    def _message(self, outcome: Outcome) -> str:
+        remark = below_best(outcome, self.optima, len(self.outcomes))
+        return "; ".join(filter(None, [outcome.message, remark]))
 
-    def whole(name: str) -> int:
-        value = entry.get(name, 0)
-        if type(value) is not int or value < 0:
-            raise ValueError(f"{name} is no whole number")
-        return value
+    def _best_optima(self) -> list[Optimum]:
+        return [o for o in self.optima if self.optima[0].log_likelihood - o.log_likelihood <= LOG_LIKELIHOOD]
 
-    texts = [entry["status"], entry.get("message", "")]
-    if not all(isinstance(text, str) for text in texts):
-        raise TypeError("status and message are texts")
-    parameters, std_errors = numbers("parameters"), numbers("std_errors")
-    if {*parameters} != {*std_errors}:
-        raise ValueError("each parameter has a standard error")
-    return Outcome(
-        whole("index"),
-        numbers("start"),
-        texts[0],
-        texts[1],
-        io.to_float(entry.get("log_likelihood")),
-        parameters,
-        std_errors,
-        whole("iterations"),
-        io.to_float(entry.get("time", 0.0)),
-    )
-
-
-def _start(starts: Starts, index: int) -> dict[str, Any] | None:
-    if isinstance(starts, Given) and not 0 <= index < len(starts.starts):
-        return None
-    return starts(index)
-
-
-def _line(obj: Mapping[str, Any]) -> bytes:
-    return json.dumps(io._plain(obj), ensure_ascii=False, allow_nan=False).encode() + b"\n"
-
-
-def _hash(data: bytes) -> str:
-    return sha256(data).hexdigest()[:16]
-
-
-def _brief(value: Any) -> Any:
-    return _hash(np.asarray(value, dtype="<f8").tobytes()) if np.ndim(value) else float(value)
-
-
-def _start_hash(start: Mapping[str, Any]) -> str:
-    return _hash(json.dumps({name: _brief(value) for name, value in start.items()}, sort_keys=True).encode())
-
-
-def _data_hash(problem: Problem, experiment: Any) -> str:
-    channel: list[tuple[str, Callable[[str], Any]]] = []
-    channel += [(name, experiment.input) for name in problem.model.input_names]
-    channel += [(name, experiment.output) for name in problem.model.output_names]
-    whole = sha256(f"{experiment.interpolation} {[name for name, _ in channel]}".encode())
-    own = [part for pair in experiment.own_samples(problem.model.input_names).values() for part in pair]
-    for values in (experiment.t, *(get(name) for name, get in channel), *own):
-        # Any NaN is as good as another.
-        whole.update(np.where(np.isnan(values), np.nan, values).astype("<f8").tobytes())
-    return whole.hexdigest()[:16]
-
-
-def _differences(key: str, there: Any, here: Any) -> list[str]:
-    """Describe which parts differ; hashes are not shown."""
-    if there == here:
-        return []
-    if key == "model":
-        return ["the model differs"]
-    if isinstance(there, dict) and isinstance(here, dict):
-        names = [*here, *(name for name in there if name not in here)]
-        changed = [name for name in names if there.get(name) != here.get(name)]
-        if key == "data":
-            return [f"the data of experiment '{name}' differ" for name in changed]
-        shown = [f"'{name}' is {_shown(there, name)} there and {_shown(here, name)} here" for name in changed]
-        return [f"{key}: {text}" for text in shown]
-    return [f"{key} is {there} there and {here} here"]
-
-
-def _shown(group: Mapping[str, Any], name: str) -> str:
-    return str(group[name]) if name in group else "absent"
-
-
-def multistart(
-    model: Model,
-    data: Experiment | Sequence[Experiment],
-    ranges: Mapping[str, Range] | None = None,
-    *,
-    n: int | None = None,
-    seed: int = 0,
-    starts: Sequence[Mapping[str, Any]] | Draw | None = None,
-    executor: Executor | None = None,
-    journal: str | os.PathLike[str] | None = None,
-    progress: bool | Watch = False,
-    transcription: Transcription | None = None,
-    noise: Noise | None = None,
-    start: Mapping[str, Any] | FitResult | None = None,
-    solver: Any = None,
-    time_limit: float | None = None,
-) -> Multistart:
-    """Estimates from many starts, to see which optima there are and how many starts reach the best one.
-
-    ``ranges``: name -> (low, high) of parameters, of ``sigma_<output>`` and of states, in their units; each start
-    draws from all of them, uniformly; of a parameter with ``transform="log"`` it draws the logarithm. A state drawn is
-    constant in time; a standard deviation above the spread of the measurements starts there, as in `estimate`.
-    ``n``: how many starts, 1000 by default. Start i has random numbers of its own, from ``seed`` and i: neither n,
-    nor the order, nor the executor changes it.
-    ``starts``: instead of ranges, the starts themselves, name -> value each (all of them unless ``n`` says fewer), or
-    a function (i, random) -> start, of the start's number and its own `numpy.random.Generator`.
-    ``start``: values for all starts, of what they do not give themselves; as in `estimate`, but of a fit only the
-    parameters.
-    ``transcription``, ``noise``, ``solver``: as in `estimate`, but that the default solver makes no regression on
-    the measured states first: it would lead all starts of a model linear in its parameters to one point.
-    ``executor``: None runs in this process. Otherwise any `concurrent.futures.Executor`, such as a
-    ProcessPoolExecutor, or ``client.get_executor()`` of a Dask client; a start runs on one thread there, unless
-    the transcription says how many. Take processes rather than threads: Python's lock is held for part of the work.
-    ``journal``: a file to which each finished start is written. The same call with the same journal runs only what
-    is missing (also after ``n`` was raised). One run at a time. Where it can no longer be written, as on a full disk,
-    the run goes on without it, and a warning of the result says so.
-    ``progress``: True shows a bar; a function is called with each `Outcome` as it comes in.
-    ``time_limit``: in seconds, of all starts together; that of a ``solver`` is of each.
-
-    What goes wrong in a run is an outcome, not an error of the whole. If a worker dies, its starts run again, in a
-    fresh pool where the old one is broken, or in this process where there can be none (a warning of the result says
-    so). A start that loses its worker time and again (three times in a pool), at last running alone, is given up with
-    status "killed".
-    Ctrl-C returns the outcomes so far, with status "interrupted", and the time limit with status "time limit"; runs
-    under way in an executor are not waited for.
-
-    Raises ModelError, DataError or OptionError for what cannot be right, whatever the start, and DataError for a
-    journal of another problem.
-
-    >>> import numpy as np
-    >>> m = Model("known by its square")
-    >>> (x,) = m.states("x")
-    >>> (a,) = m.parameters("a")
-    >>> m.dynamics(x=1 - x)
-    >>> m.outputs(y=a**2 * x)
-    >>> t = np.linspace(0, 5, 30)
-    >>> e = Experiment(t, outputs={"y": 4 * (1 - np.exp(-t)) + 0.01 * np.sin(40 * t)})
-    >>> result = multistart(m, e, {"a": (-5, 5)}, n=8)
-    >>> sorted(round(o.parameters["a"]) for o in result.optima)
-    [-2, 2]
-    """
-    begin = time.perf_counter()
-    deadline = limited("multistart", time_limit)
-    problem = _problem(model, data, transcription, noise, start, solver)
-    if n is not None:
-        whole("multistart: n", n, 1)
-    whole("multistart: seed", seed, 0)
-    check_progress("multistart", progress)
-    if (ranges is None) == (starts is None):
-        raise OptionError("multistart: give either ranges to draw from, or starts")
-    if starts is None:
-        total = 1000 if n is None else int(n)
-        plan: Any = uniform(problem, ranges, int(seed))
-    else:
-        plan = given(problem, starts, n, int(seed))
-        total = len(plan.starts)
-
-    crew = Crew(executor, problem)
-    with nullcontext() if journal is None else closing(Journal(journal, problem, plan)) as book:
-        known = book.outcomes if book else {}
-        done = {index: outcome for index, outcome in known.items() if index < total}
-        missing = ((i, plan(i)) for i in range(total) if i not in known)
-        keep = book.append if book else None
-        with deadline.in_force():
-            found = collect(crew, missing, progress, problem.model.name, total, known=done, keep=keep, best=True)
-    return Multistart(
-        outcomes=tuple(found.values()),
-        n=total,
-        status="complete" if len(found) == total else deadline.ended(),
-        problem=problem,
-        warnings=crew.warnings + (book.warnings if book else ()),
-        time=time.perf_counter() - begin,
-    )
-
-
-def _problem(model: Any, data: Any, transcription: Any, noise: Any, start: Any, solver: Any) -> Problem:
-    """Return what all starts share, as far as it can be checked before the first run."""
-    if not isinstance(model, Model):
-        raise ModelError(f"multistart: the first argument is a Model, not a {type(model).__name__}")
-    model.check()
-    experiments = tuple(completed(as_experiments(data, "estimate"), model.output_names))
-    transcription = transcription or Collocation()
-    if not isinstance(transcription, (Collocation, MultipleShooting, SingleShooting)):
-        raise OptionError(
-            f"multistart: transcription is a Collocation, MultipleShooting or SingleShooting, not {transcription!r}"
+    def _repr_html_(self) -> str:
+        tables = [self._optima_rows(), self._parameter_rows()] if self.optima else []
+        failed = self._failures().splitlines() if any(not o.at_optimum for o in self.outcomes) else []
+        return overview(
+            f"{self.problem.model.name}: multistart",
+            bullets(f"{name}: {text}" for name, text in self._entries().items()),
+            *tables,
+            remarks=[*filter(None, [self._more_optima()]), *self._judgement(), *failed, *self.warnings],
+            note=self.status,
         )
-    noise = noise or model.noise_model
-    if not isinstance(noise, Noise):
-        raise OptionError(f"multistart: {not_noise(noise)}")
-    if not isinstance(start, (Mapping, FitResult, type(None))):
-        raise OptionError(f"multistart: start holds values by name, or is a fit, not {start!r}")
-    common = start.as_start() if isinstance(start, FitResult) else start or {}
-    return Problem(model, experiments, transcription, noise, solver, {n: plain(v) for n, v in common.items()})
+
+    def _entries(self) -> dict[str, str]:
+        """Return the facts of the starts, by heading."""
+        done, converged = len(self.outcomes), [o for o in self.outcomes if o.converged]
+        entries = {"starts": f"{self.n}, all finished"}
+        if self.status != "complete":
+            entries["starts"] = f"{done} of {self.n} finished; the same call with the same journal goes on"
+        entries["converged"] = f"{len(converged)}" + (f" ({100 * len(converged) / done:.3g} %)" if done else "")
+        if converged:
+            iterations = [o.iterations for o in converged]
+            entries["iterations"] = f"median {np.median(iterations):g}, most {max(iterations)}"
+        if done:
+            times = [o.time for o in self.outcomes]
+            entries["time"] = (
+                f"{_duration(self.time)}; a start: median {_duration(float(np.median(times)))}, "
+                f"most {_duration(max(times))}"
+            )
+        return entries
+
+    def _optima_rows(self) -> Rows:
+        best, done = self.optima[0].log_likelihood, len(self.outcomes)
+        rows = [
+            [
+                str(i),
+                f"{o.log_likelihood:.3f}",
+                f"{best - o.log_likelihood:.3f}",
+                str(o.count),
+                f"{100 * o.count / done:.1f}",
+                str(o.index),
+            ]
+            for i, o in enumerate(self.optima[:_OPTIMA], 1)
+        ]
+        header = ["optimum", "log-likelihood", "below best", "starts", "in %", "such as start"]
+        return header, rows, "rrrrrr"
+
+    def _more_optima(self) -> str:
+        rest = self.optima[_OPTIMA:]
+        return f"and {len(rest)} more, of {sum(o.count for o in rest)} start(s)" if rest else ""
+
+    def _parameter_rows(self) -> Rows:
+        shown = self.optima[:_COLUMNS]
+        units = self.problem.model.units
+        header = ["parameter", "optimum 1", "std error", *(f"optimum {i + 1}" for i in range(1, len(shown))), "unit"]
+        rows = []
+        for name, value in shown[0].parameters.items():
+            error = shown[0].std_errors[name]
+            others = [f"{o.parameters[name]:.5g}" for o in shown[1:]]
+            text = f"{error:.2g}" if np.isfinite(error) else ""
+            rows.append([name, f"{value:.5g}", text, *others, units.get(name.removeprefix("sigma_"), "")])
+        return header, rows, "lrr" + "r" * (len(shown) - 1) + "l"
+
+    def _judgement(self) -> list[str]:
+        """Return what follows of the optima, in sentences."""
+        if not self.optima:
+            return []
+        best, done = self._best_optima(), len(self.outcomes)
+        count = sum(o.count for o in best)
+        text = (
+            f"{count} of {done} starts ({100 * self.success_rate:.3g} %) reached the best optimum. That it repeats is "
+            "evidence that it is the global one, not proof."
+        )
+        if count == 1:
+            text = f"1 of {done} starts reached the best optimum: there may well be a better one. Take more starts."
+        said = [text]
+        if len(best) > 1:
+            said.append(
+                f"It is {len(best)} optima with the same log-likelihood: the data do not distinguish their parameters."
+            )
+        others = local_optima(self.optima, done)
+        bounds = at_bounds(self.optima[0].parameters, self.problem.model.declared_parameters)
+        said += [f"{others}."] if others else []
+        return [*said, f"At bounds in optimum 1: {bounds}."] if bounds else said
+
+    def _failures(self) -> str:
+        lines = []
+        for status, count in self.counts.items():
+            those = [o for o in self.outcomes if o.status == status and not o.at_optimum]
+            if not those:
+                continue
+            numbers = ", ".join(str(o.index) for o in those[:_NUMBERS]) + (", ..." if count > _NUMBERS else "")
+            lines.append(f"{status}: {count} start(s), number {numbers}\n  the first: {those[0].message}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Multistart of '{self.problem.model.name}': {self.status}, {len(self.outcomes)} of {self.n} starts, "
+            f"{len(self.optima)} optima, {100 * self.success_rate:.3g} % reached the best>"
+        )
+
+    def __str__(self) -> str:
+        return self.summary()
+
+
+# A value is at a bound within this part of its size, as for a single fit.
+_THERE = 1e-6
+
+
+def below_best(outcome: Outcome, optima: Sequence[Optimum], starts: int) -> str:
+    """Return what to say of an end at an optimum that is not the best one known; "" for all other ends."""
+    if not optima or not outcome.at_optimum:
+        return ""
+    gap = optima[0].log_likelihood - outcome.log_likelihood
+    if gap <= LOG_LIKELIHOOD:
+        return ""
+    count = sum(o.count for o in optima if optima[0].log_likelihood - o.log_likelihood <= LOG_LIKELIHOOD)
+    return (
+        f"this optimum is local: {count} of {starts} starts reached one whose log-likelihood is higher by {gap:.4g}, "
+        f"such as start {optima[0].index}"
+    )
+
+
+def local_optima(optima: Sequence[Optimum], starts: int) -> str:
+    """Return how many optima below the best one the starts reached, and with what share; "" where there is none."""
+    others = [o for o in optima if optima[0].log_likelihood - o.log_likelihood > LOG_LIKELIHOOD]
+    if not others:
+        return ""
+    count = sum(o.count for o in others)
+    gap = optima[0].log_likelihood - others[0].log_likelihood
+    are = "local optimum is" if len(others) == 1 else "local optima are"
+    return (
+        f"{len(others)} other {are} known, where {count} of {starts} starts ({100 * count / starts:.3g} %) ended; "
+        f"log-likelihood lower by {gap:.4g}{'' if len(others) == 1 else ' or more'}"
+    )
+
+
+def at_bounds(values: Mapping[str, float], declared: Mapping[str, Parameter]) -> str:
+    """Return all parameters whose values are at a bound, each with the bound; "" where there is none."""
+    found = []
+    for name, value in values.items():
+        parameter = declared.get(name)
+        if parameter is None or parameter.fixed:
+            continue
+        for side, bound in zip(("lower", "upper"), parameter.bounds, strict=True):
+            if math.isfinite(bound) and abs(value - bound) <= _THERE * max(abs(value), abs(bound)):
+                found.append(f"{name} ({side})")
+    return ", ".join(found)

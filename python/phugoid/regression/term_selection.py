@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from .._core import Expr
 from ..errors import ModelError, OptionError, is_whole, listing
 from ..modelling.model import Model
-from .equations import Equation, EquationSides, Evaluation
+from . import Equation, EquationSides, Evaluation
 from .least_squares import coloured_middle
 from .selected_terms import SelectedTerms, SelectionStep, TermSelection, reason
 from .subsets import Block, Path, TermData, best_subsets, orthogonal, stepwise

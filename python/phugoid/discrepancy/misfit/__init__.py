@@ -1,305 +1,248 @@
-"""What the simulation gets wrong: the residuals of a fit, channel by channel, with their figure."""
+"""The residuals of one output: their size, colour, spectrum, and what they depend on."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ...errors import DataError, UnknownName, listing
-from ...figures import (
-    BAND,
-    GREY,
-    INPUT,
-    MEASURED,
-    MODEL,
-    RESIDUAL,
-    SPAN,
-    STYLE,
-    WIDTH,
-    labelled,
-    plain,
-    squared,
-    with_gaps,
+from ...residual_noise import WITHIN, Series, autocorrelation_of, same_rate
+from ...residual_noise.autoregression import (
+    Autoregression,
+    CorrelatedNoise,
+    Spectrum,
+    Tone,
+    burg,
+    spectrum_of,
+    tones_of,
 )
-from ...fit_result import FitResult
-from ...notebook import Html, bullets, notebook_page, sparkline, table
-from ...records import Record
-from ...residual_noise import channel_series, residual_of, resolution_of
-from .channel import ChannelMisfit, channel_misfit
-from .phrases import number, per_second, what_stands_out
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from .phrases import channel_phrases, number
+from .regimes import Dependence, Regime, Running, Span, correlations_of, regimes_of, spans_of
 
 __all__ = [
-    "Misfit",
-    "misfit",
+    "ChannelMisfit",
+    "channel_misfit",
 ]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Misfit:
-    """What the simulation gets wrong.
+_Array = NDArray[np.float64]
 
-    channels  by name, as the model declares them.
-    fit       whose residuals they are.
+# What is claimed is not chance at this level, of each kind of claim for each channel. Few claims can be false where
+# a report makes dozens of them.
+_ALPHA = 1e-3
+_ENOUGH = 30  # samples below which only the size of residuals is told
+_ENOUGH_FOR_REGIMES = 60
+_LJUNG_BOX = 20  # lags
+_WORTH = 0.15  # correlation
+_ROUNDING = 1e-6  # of the RMS: less is no noise
+
+
+def _none() -> _Array:
+    return np.empty(0)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ChannelMisfit:
+    """What is left of one output over all experiments, in its ``unit``.
+
+    n            samples, without outliers (which ``notes`` tell of).
+    rms          of the residuals.
+    noise        standard deviation of what in them cannot be predicted from their own past: the innovations of an AR
+                 model of ``order`` lags (12 at most, by BIC). NaN where there are too few samples to say.
+    mean, mean_error  of the residuals, with standard error for residuals so coloured.
+    lags, autocorrelation, band   (L,) s, (L,), and the half-width of the band that holds 95 % of white residuals.
+    white        p-value of Ljung and Box's test that they are white (20 lags), whether or not their size changes.
+    running, usual, spans   running RMS by experiment, its usual level, and the spans that stand out.
+    regimes, correlations   against states, inputs and their rates; the least likely chance first.
+    spectrum, tones         power by frequency, and lines in it.
+    units        of states and inputs.
+    notes        what could not be told, and why.
+    resolution   of the sensor, where its samples lie on a grid; 0 elsewhere.
+
+    Claims have a chance of 0.001 each of being false where residuals are noise of the colour found.
     """
 
-    channels: Mapping[str, ChannelMisfit]
-    fit: FitResult
+    name: str
+    unit: str
+    n: int
+    rms: float
+    noise: float = math.nan
+    order: int = 0
+    mean: float = math.nan
+    mean_error: float = math.nan
+    lags: _Array = field(default_factory=_none)
+    autocorrelation: _Array = field(default_factory=_none)
+    band: float = math.nan
+    white: float = math.nan
+    running: Mapping[str, Running] | None = None
+    usual: float = math.nan
+    spans: tuple[Span, ...] = ()
+    regimes: tuple[Regime, ...] = ()
+    correlations: tuple[Dependence, ...] = ()
+    spectrum: Spectrum | None = None
+    tones: tuple[Tone, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    resolution: float = 0.0
 
     @property
-    def worst(self) -> tuple[str, ...]:
-        """Names of the channels, those first whose residuals exceed their noise the most."""
+    def within_resolution(self) -> bool:
+        """Whether the residuals are what rounding to the steps of the sensor explains."""
+        return self.rms <= WITHIN * self.resolution
 
-        def excess(name: str) -> tuple[bool, float]:
-            c = self.channels[name]
-            return c.structured, 0.0 if math.isnan(c.ratio) else c.ratio
+    @property
+    def ratio(self) -> float:
+        """RMS of the residuals over their noise: 1 where nothing can be predicted, infinite where all is, NaN where
+        unknown."""
+        if self.noise == 0.0 and self.rms > 0.0:
+            return math.inf
+        return self.rms / self.noise
 
-        return tuple(sorted(self.channels, key=excess, reverse=True))
+    @property
+    def predictable(self) -> float:
+        """Share of the residuals' power that their own past predicts, 0 to 1."""
+        return max(0.0, 1.0 - (self.noise / self.rms) ** 2) if self.rms > 0.0 else math.nan
+
+    @property
+    def coloured(self) -> bool:
+        """Whether the residuals are not white."""
+        return self.white < _ALPHA
+
+    @property
+    def biased(self) -> bool:
+        """Whether their mean is off zero."""
+        from scipy.special import stdtr
+
+        if not self.mean_error > 0.0:
+            return self.mean_error == 0.0 and self.mean != 0.0  # the same throughout
+        effective = max((self.rms / self.mean_error) ** 2 - 1.0, 1.0)  # samples that coloured ones are worth
+        return bool(2.0 * stdtr(effective, -abs(self.mean / self.mean_error)) < _ALPHA)
+
+    @property
+    def regime(self) -> Regime | None:
+        """The clearest dependence on a variable, where there is one."""
+        first = self.regimes[0] if self.regimes else None
+        return first if first is not None and first.p_value < _ALPHA else None
+
+    @property
+    def follows(self) -> Dependence | None:
+        """The clearest correlation, where there is one that is worth a word."""
+        # A quick part of residuals may follow a variable beyond chance, and yet be next to nothing of the whole.
+        clear = (c for c in self.correlations if c.p_value < _ALPHA and abs(c.r) >= _WORTH)
+        return next(clear, None)
+
+    @property
+    def telling(self) -> Regime | None:
+        """The regime to look at: the clear one, else that of the variable followed, else that with the most power."""
+        if self.regime is not None:
+            return self.regime
+        followed = [r for r in self.regimes if self.follows is not None and r.variable == self.follows.variable]
+        return max(followed or self.regimes, key=lambda r: r.share, default=None)
 
     @property
     def structured(self) -> bool:
-        """Whether anything stands out from white noise, in any channel."""
-        return any(c.structured for c in self.channels.values())
+        """Whether anything stands out from white noise."""
+        return bool(self.coloured or self.biased or self.spans or self.tones or self.regime or self.follows)
 
     def summary(self) -> str:
-        """Return a line for each channel, the worst first, and what could not be told."""
-        lines = [self.channels[name].summary() for name in self.worst]
-        notes = list(dict.fromkeys(note for name in self.worst for note in self.channels[name].notes))
-        if not self.fit.converged:
-            notes.append(f"the fit is no optimum ({self.fit.status}): another one may leave other residuals")
-        return "\n".join([*lines, *(f"Note: {note}." for note in notes)])
-
-    def plot(self, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
-        """Plot per channel: residuals over time, with spans that stand out; autocorrelation; spectrum; the clearest
-        regime.
-
-        channels  names; None: the three worst.
-
-        Returns the figure and the axes by ``"<channel> time"`` (``"<channel> time <experiment>"`` where there are
-        several), ``"<channel> autocorrelation"``, ``"<channel> spectrum"`` and ``"<channel> regime"``. Raises
-        UnknownName for a channel that is not there.
-        """
-        return _figure(self, channels)
-
-    def table_html(self, most: int | None = None) -> Html:
-        """Return a row for each channel, or for the ``most`` worst of them, for notebooks."""
-        rows = []
-        for name in self.worst[:most]:
-            c = self.channels[name]
-            record = next(r for r in self.fit.records if name in r.residuals)
-            picture = sparkline((record.innovations or record.residuals)[name], t=record.t)
-            noise, ratio = (number(x) if math.isfinite(x) else "" for x in (c.noise, c.ratio))
-            rows.append([name, c.unit, number(c.rms), noise, ratio, picture, what_stands_out(c)])
-        return table(["output", "unit", "RMS", "noise", "RMS/noise", "residual", ""], rows, "llrrrll")
-
-    def _repr_html_(self) -> str:
-        notes = dict.fromkeys(note for name in self.worst for note in self.channels[name].notes)
-        return notebook_page(
-            "Misfit", self.table_html(), bullets(notes), note=f"of '{self.fit.model.name}', worst first"
-        )
-
-    def __str__(self) -> str:
-        return self.summary()
-
-    def __repr__(self) -> str:
-        return f"<Misfit of {len(self.channels)} channels, the worst first: {', '.join(self.worst)}>"
+        """Return one sentence."""
+        return channel_phrases(self)
 
 
-def misfit(fit: FitResult) -> Misfit:
-    """Return what a fitted model gets wrong, from its residuals; with process noise (`FilterError`), from its
-    innovations.
-
-    Records with gaps, of several rates and of any number are taken; what is too short gets fewer answers, and
-    ``notes`` says so.
-
-    Raises DataError for what is no fit, or where there are no residuals at all.
-    """
-    if not hasattr(fit, "records") or not hasattr(fit, "model"):
-        raise DataError(f"misfit: give a fit, as estimate returns it, not a {type(fit).__name__}")
-    outputs = list(fit.model.output_names)
-    units = dict(fit.model.units)
-    for record in fit.records:
-        units = {**units, **record.units}
-    found = {}
-    for name in outputs:
-        series = channel_series(fit.records, name)
-        if series:
-            step = resolution_of([r.measured[name] for r in fit.records if name in r.measured])
-            found[name] = channel_misfit(name, units, series, step)
-    if not found:
-        raise DataError("misfit: no output has two residuals or more; give a fit to measured data")
-    return Misfit(found, fit)
+def channel_misfit(name: str, units: Mapping[str, str], every: Sequence[Series], resolution: float) -> ChannelMisfit:
+    """Return the misfit of a channel with ``units`` by name, from its residuals of all experiments, with a note where
+    they are no larger than the ``resolution`` of its sensor."""
+    channel = replace(_of_channel(name, units, every), resolution=resolution)
+    if not channel.within_resolution:
+        return channel
+    note = f"{channel.name} is measured in steps of {number(resolution, 3)}: its residuals are within that resolution"
+    return replace(channel, notes=(*channel.notes, note))
 
 
-_PER_CHANNEL = 3.1  # inches
-_EXPERIMENTS = 4  # side by side
-_NAME = 90  # characters across the figure
-
-
-def _figure(misfit: Misfit, channels: Sequence[str] | None) -> tuple[Figure, dict[str, Axes]]:
-    """Draw `Misfit.plot`."""
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
-
-    names = list(misfit.worst[:3] if channels is None else channels)
-    for name in names:
-        if name not in misfit.channels:
-            raise UnknownName(f"the misfit has no channel '{name}'.{listing(name, misfit.channels)}")
-    if not names:
-        raise DataError("Misfit.plot: there is no channel to draw")
-    panels: dict[str, Any] = {}
-    with rc_context(STYLE):
-        figure = plt.figure(figsize=(WIDTH, _PER_CHANNEL * len(names) + 0.25), layout="constrained")
-        parts = figure.subfigures(len(names), 1, squeeze=False)[:, 0]
-        for part, name in zip(parts, names, strict=True):
-            channel = misfit.channels[name]
-            records = [r for r in misfit.fit.records if residual_of(r, name) is not None]
-            shown = _most_telling(channel, records)
-            _key(part, misfit, names) if name == names[0] else None
-            part.suptitle(plain(_heading(channel)), x=0.01, ha="left", fontsize=9.0)
-            grid = part.add_gridspec(2, 3, height_ratios=(1.15, 1.0))
-            spans = np.array([r.t[-1] - r.t[0] for r in shown])
-            shares = np.maximum(spans / spans.sum(), 0.12)  # so that a short one still can be read
-            times = grid[0, :].subgridspec(1, len(shown), width_ratios=shares / shares.sum(), wspace=0.04)
-            share = None
-            for i, record in enumerate(shown):
-                axis = share = part.add_subplot(times[0, i], sharey=share)
-                key = f"{name} time" if len(records) == 1 else f"{name} time {record.name}"
-                panels[key] = axis
-                room = int(_NAME * shares[i] / shares.sum()) if len(records) > 1 else 0
-                _draw_time(axis, channel, record, first=i == 0, room=room)
-            for i, what in enumerate(("autocorrelation", "spectrum", "regime")):
-                panels[f"{name} {what}"] = part.add_subplot(grid[1, i])
-            _draw_autocorrelation(panels[f"{name} autocorrelation"], channel)
-            _draw_spectrum(panels[f"{name} spectrum"], channel)
-            _draw_regime(panels[f"{name} regime"], channel, records)
-    return figure, panels
-
-
-def _key(part: Any, misfit: Misfit, names: Sequence[str]) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    handles: list[Any] = [
-        Line2D([], [], color=RESIDUAL, linewidth=0.8, label="residual"),
-        Line2D([], [], color=MODEL, linewidth=0.9, label="running RMS"),
-        Patch(color=BAND, label="±2 noise"),
+def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) -> ChannelMisfit:
+    r = np.concatenate([s.r for s in every])
+    unit = units.get(name, "")
+    n, rms = r.size, float(np.sqrt(np.mean(r**2)))
+    if rms == 0.0:
+        return ChannelMisfit(name, unit, n, rms, notes=(f"{name} is matched exactly: there is no residual to look at",))
+    if float(np.ptp(r)) <= _ROUNDING * rms:
+        return ChannelMisfit(name, unit, n, rms, noise=0.0, mean=float(r.mean()), mean_error=0.0)
+    if n < _ENOUGH:
+        note = f"{name} has {n} samples: too few to tell noise from misfit ({_ENOUGH} are needed)"
+        return ChannelMisfit(name, unit, n, rms, notes=(note,))
+    series, others = same_rate(every)
+    notes = [_on_outliers(name, every)] if any(s.outliers.size for s in every) else []
+    notes += [
+        f"{name} is sampled at another rate in '{s.experiment}', which only its spans of large residuals look at"
+        for s in others
     ]
-    if any(misfit.channels[name].spans for name in names):
-        handles.append(Patch(color=SPAN, label="stands out"))
-    key = part.legend(handles=handles, loc="upper right", ncols=4, frameon=False, fontsize=7.0, borderaxespad=0.2)
-    key.set_in_layout(False)
-
-
-def _heading(c: ChannelMisfit) -> str:
-    size = labelled(f"{c.name}: RMS {number(c.rms)}", {f"{c.name}: RMS {number(c.rms)}": c.unit}).replace(", ", " ")
-    return size if np.isnan(c.ratio) else f"{size}, noise {number(c.noise)}, ratio {number(c.ratio)}"
-
-
-def _most_telling(c: ChannelMisfit, records: Sequence[Record]) -> list[Record]:
-    """Return all experiments, or of many those with the largest residuals, in their order."""
-    if len(records) <= _EXPERIMENTS:
-        return list(records)
-
-    def size(record: Record) -> float:
-        r: Any = residual_of(record, c.name)
-        return float(np.nanmean(r**2)) if np.isfinite(r).any() else 0.0
-
-    chosen = sorted(records, key=size, reverse=True)[:_EXPERIMENTS]
-    return [r for r in records if any(r is other for other in chosen)]
-
-
-def _draw_time(axis: Axes, c: ChannelMisfit, record: Record, *, first: bool, room: int) -> None:
-    """Draw the time histories; ``room`` is for so many letters of the experiment's name, 0 where there is but one."""
-    r: Any = residual_of(record, c.name)
-    if np.isfinite(c.noise):
-        axis.axhspan(-2.0 * c.noise, 2.0 * c.noise, color=BAND, linewidth=0.0)
-    for span in c.spans:
-        if span.experiment == record.name:
-            axis.axvspan(span.start, span.end, color=SPAN, linewidth=0.0, zorder=0.5)
-    axis.axhline(0.0, color=INPUT, linewidth=0.5)
-    axis.plot(*with_gaps(record.t, r), color=RESIDUAL, linewidth=0.6, rasterized=record.n > 5000)
-    running = (c.running or {}).get(record.name)
-    if running is not None:
-        axis.plot(running.t, running.rms, color=MODEL, linewidth=0.9)
-    axis.margins(x=0.01)
-    axis.set_xlabel("time, s", labelpad=1.0)
-    if room:
-        name = record.name if len(record.name) <= room else f"{record.name[: max(room - 1, 1)]}…"
-        axis.set_title(plain(name), fontsize=6.5, loc="left", pad=2.0)
-        axis.locator_params(axis="x", nbins=max(2, room // 9))
-    if first:
-        axis.set_ylabel(plain(labelled("residual", {"residual": c.unit})))
+    colour = burg([s.r[run] for s in series for run in s.segment.runs])
+    own = np.concatenate([s.r for s in series])
+    own_rms = float(np.sqrt(np.mean(own**2)))
+    longest = max(s.segment.size for s in series)
+    memory = CorrelatedNoise(colour.autocorrelation(longest))
+    mean_error = own_rms * memory.spread(
+        [np.nan_to_num(s.segment.on_grid(np.full(s.r.size, 1.0 / own.size))) for s in series]
+    )
+    lags, correlation, scatter = autocorrelation_of(series)
+    running, usual, spans = spans_of(every, _ALPHA)
+    regimes: list[Regime] = []
+    correlations: list[Dependence] = []
+    if own.size >= _ENOUGH_FOR_REGIMES:
+        regimes = regimes_of(series, colour, memory, own_rms, _ALPHA)
+        correlations = correlations_of(series, colour, memory)
     else:
-        axis.tick_params(labelleft=False)
+        notes.append(f"{name} has {own.size} samples: too few for regimes ({_ENOUGH_FOR_REGIMES} are needed)")
+    return ChannelMisfit(
+        name,
+        unit,
+        n,
+        rms,
+        noise=_noise(colour, series, rms, own_rms),
+        order=colour.order,
+        mean=float(own.mean()),
+        mean_error=mean_error,
+        lags=lags,
+        autocorrelation=correlation,
+        band=1.96 / math.sqrt(own.size),
+        white=_ljung_box(correlation, scatter, own.size),
+        running=running,
+        usual=usual,
+        spans=tuple(spans),
+        regimes=tuple(regimes),
+        correlations=tuple(correlations),
+        spectrum=spectrum_of(series, _ALPHA),
+        tones=tuple(tones_of(series, _ALPHA)),
+        units=units,
+        notes=tuple(notes),
+    )
 
 
-def _empty(axis: Axes, text: str) -> None:
-    axis.set_axis_off()
-    axis.text(0.5, 0.5, text, ha="center", va="center", fontsize=7.0, color=RESIDUAL, transform=axis.transAxes)
+def _on_outliers(name: str, every: Sequence[Series]) -> str:
+    count = sum(s.outliers.size for s in every)
+    first = next(s for s in every if s.outliers.size)
+    where = f"{first.outliers[0]:g} s of '{first.experiment}'"
+    if count == 1:
+        return f"{name} has an outlier, at {where}, which is left out here"
+    return f"{name} has {count} outliers, the first at {where}, which are left out here"
 
 
-def _draw_autocorrelation(axis: Axes, c: ChannelMisfit) -> None:
-    if c.lags.size < 2:
-        _empty(axis, "too few samples\nfor an autocorrelation")
-        return
-    axis.axhspan(-c.band, c.band, color=BAND, linewidth=0.0)
-    axis.axhline(0.0, color=INPUT, linewidth=0.5)
-    axis.fill_between(c.lags, c.autocorrelation, color=MEASURED, alpha=0.25, linewidth=0.0)
-    axis.plot(c.lags, c.autocorrelation, color=MEASURED, linewidth=1.1)
-    axis.set_ylim(min(-0.3, 1.1 * float(c.autocorrelation.min())), 1.05)
-    axis.set_xlabel("lag, s", labelpad=1.0)
-    axis.set_title(f"autocorrelation ({'not white' if c.coloured else 'white'})", fontsize=7.5)
+def _noise(colour: Autoregression, series: Sequence[Series], rms: float, own_rms: float) -> float:
+    """Return the standard deviation of the noise; of white residuals all is noise, but for the degrees of freedom."""
+    if colour.order == 0:
+        return rms
+    noise = min(rms, colour.deviation([s.segment.on_grid(s.r) for s in series]) * rms / own_rms)
+    return noise if noise > _ROUNDING * rms else 0.0
 
 
-def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
-    from matplotlib.ticker import NullFormatter
+def _ljung_box(rho: _Array, scatter: _Array, n: int) -> float:
+    """P-value; with gaps the pairs that there are stand for n - k (Dunsmuir and Robinson 1981)."""
+    from scipy.special import chdtrc
 
-    if c.spectrum is None:
-        _empty(axis, "too few samples\nfor a spectrum")
-        return
-    s = c.spectrum
-    for band in s.bands:
-        axis.axvspan(max(band.low, 0.7 * s.frequency[0]), band.high, color=SPAN, linewidth=0.0)
-    axis.axhline(s.level, color=GREY, linewidth=0.8, linestyle="--")
-    axis.loglog(s.frequency, s.density, color=MEASURED, linewidth=1.0)
-    for tone in c.tones:
-        axis.axvline(tone.frequency, color=MODEL, linewidth=0.9, linestyle=":")
-    axis.set_xlim(0.7 * s.frequency[0], s.frequency[-1])
-    # A flat spectrum shall look flat.
-    axis.set_ylim(min(s.level / 20.0, float(s.density.min())), max(s.level * 20.0, 1.5 * float(s.density.max())))
-    for part in (axis.xaxis, axis.yaxis):
-        part.set_minor_formatter(NullFormatter())
-    axis.set_xlabel("frequency, Hz", labelpad=1.0)
-    tones = ", tones dotted" if c.tones else ""
-    axis.set_title(plain(f"power, {squared(c.unit)}{tones}"), fontsize=7.5)
-
-
-def _draw_regime(axis: Axes, c: ChannelMisfit, records: Sequence[Record]) -> None:
-    regime = c.telling
-    if regime is None:
-        _empty(axis, "no regimes:\ntoo few samples, or nothing moves")
-        return
-    middle = [0.5 * (b.low + b.high) for b in regime.bins]
-    half = [0.5 * (b.high - b.low) for b in regime.bins]
-    mean = np.array([b.mean for b in regime.bins])
-    error = np.array([2.0 * b.std_error for b in regime.bins])
-    axis.axhline(0.0, color=INPUT, linewidth=0.5)
-    axis.bar(middle, 2.0 * error, 1.9 * np.array(half), -error, color=BAND, linewidth=0.0)
-    marked = [b.stands_out for b in regime.bins]
-    for value, x, h, out in zip(mean, middle, half, marked, strict=True):
-        axis.plot([x - h, x + h], [value, value], color=MODEL if out else MEASURED, linewidth=2.0 if out else 1.4)
-    name, bare = regime.variable, regime.variable.removesuffix("'")
-    unit = c.units.get(bare, "")
-    unit = per_second(unit) if name.endswith("'") else unit
-    axis.set_xlabel(plain(labelled(name, {name: unit})), labelpad=1.0)
-    clear = c.regime is not None or (c.follows is not None and c.follows.variable == name)
-    axis.set_title(plain(f"mean over {name}{'' if clear else ' (chance?)'}"), fontsize=7.5)
-    axis.locator_params(axis="x", nbins=5)
+    # With more lags than a twelfth of the samples the statistic exceeds its distribution.
+    last = min(_LJUNG_BOX, max(n // 12, 2), rho.size - 1)
+    statistic = (n + 2.0) / n * float(np.sum(rho[1 : last + 1] ** 2 / scatter[1 : last + 1]))
+    return float(chdtrc(last, statistic))

@@ -12,7 +12,7 @@ from ...notebook import equation
 from ...pages import PageTable, picture, render, sources
 from ...parameters import Estimate
 from ...writing import PAGES, check_folder, check_suffix, write
-from ..misfit import Misfit, misfit
+from ..misfit.misfit import Misfit, misfit
 from ..misfit.phrases import number, percent, what_stands_out, with_unit
 from ..search.finding import DiagnosisResult, ExtensionResult, Finding
 from .figures import curve_figure, explained_figure, findings_figure, gain_figure, ranking_figure

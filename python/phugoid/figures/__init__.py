@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +35,7 @@ __all__ = [
     "plain",
     "squared",
     "with_gaps",
+    "write_keys",
 ]
 
 
@@ -90,6 +91,23 @@ def figure_of(axis: Axes) -> Figure:
 def headline(figure: Figure, left: float, text: str) -> None:
     """Write the title of a figure that is laid out by hand at its top, starting at ``left``, a part of its width."""
     figure.text(left, 1.0 - 0.08 / figure.get_figheight(), plain(text), ha="left", va="top", fontsize=9.5)
+
+
+def write_keys(
+    figure: Figure, left: float, handles: Sequence[Any], columns: int | None = None, below: float = 0.27, **look: Any
+) -> None:
+    """Write the keys of lines and patches in a row, or in so many columns, starting at ``left``, a part of the figure's
+    width, and ``below`` its upper edge, inches."""
+    figure.legend(
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(left, 1.0 - below / figure.get_figheight()),
+        ncols=len(handles) if columns is None else columns,
+        frameon=False,
+        borderpad=0.0,
+        borderaxespad=0.0,
+        **{"columnspacing": 1.6, **look},
+    )
 
 
 def labelled(name: str, units: Mapping[str, str]) -> str:

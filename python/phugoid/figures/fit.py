@@ -31,6 +31,7 @@ from . import (
     labelled,
     plain,
     with_gaps,
+    write_keys,
 )
 
 if TYPE_CHECKING:
@@ -345,21 +346,9 @@ def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:
         axis.tick_params(labelbottom=True)
         axis.set_xlabel("time, s")
     next(iter(panels.values())).margins(x=0.01)
-    height = float(figure.get_size_inches()[1])
     left = _LEFT / WIDTH
     headline(figure, left, title)
     order = [
         name for name in ("measured", "tolerance", "model", "state", "input", "residual", "±2σ") if name in handles
     ]
-    figure.legend(
-        [handles[name] for name in order],
-        order,
-        loc="upper left",
-        bbox_to_anchor=(left, 1.0 - 0.26 / height),
-        ncols=len(order),
-        frameon=False,
-        borderpad=0.0,
-        borderaxespad=0.0,
-        columnspacing=1.6,
-        markerscale=2.5,
-    )
+    write_keys(figure, left, [handles[name] for name in order], below=0.26, markerscale=2.5)

@@ -11,7 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError
-from ..figures import BAND, MEASURED, MODEL, ORANGE, PURPLE, RESIDUAL, STATE, STYLE, WIDTH, figure_of, headline, plain
+from ..figures import (
+    BAND,
+    MEASURED,
+    MODEL,
+    ORANGE,
+    PURPLE,
+    RESIDUAL,
+    STATE,
+    STYLE,
+    WIDTH,
+    figure_of,
+    headline,
+    plain,
+    write_keys,
+)
 from ..notebook import overview, sparkline
 
 if TYPE_CHECKING:
@@ -111,22 +125,9 @@ def _layout(panel_names: list[str], rows: int) -> dict[str, Axes]:
 
 
 def _finish(figure: Figure, magnitude: Axes, title: str) -> None:
-    height = float(figure.get_size_inches()[1])
     left = _LEFT / WIDTH
     headline(figure, left, title)
-    handles, labels = magnitude.get_legend_handles_labels()
-    figure.legend(
-        handles,
-        labels,
-        loc="upper left",
-        bbox_to_anchor=(left, 1.0 - 0.27 / height),
-        ncols=_COLUMNS,
-        frameon=False,
-        borderpad=0.0,
-        borderaxespad=0.0,
-        columnspacing=1.6,
-        fontsize=8.0,
-    )
+    write_keys(figure, left, magnitude.get_legend_handles_labels()[0], _COLUMNS, fontsize=8.0)
     figure.align_ylabels()
 
 

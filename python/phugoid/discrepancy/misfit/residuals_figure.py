@@ -23,6 +23,7 @@ from ...figures import (
     plain,
     squared,
     with_gaps,
+    write_keys,
 )
 from ...figures.fit import choose_record, sigmas_of
 from ...fit_result import FitResult
@@ -112,7 +113,6 @@ def plot_residuals(
             axes,
             names,
             f"{fit.model.name}: {chosen.name}, {_called(chosen)}s",
-            height,
             bool(chosen.innovations),
         )
     return figure, axes
@@ -210,9 +210,7 @@ def _uneven(series: Series) -> bool:
     return bool(np.mean(np.abs(steps - np.rint(steps)) > _UNEVEN) > _MANY)
 
 
-def _finish(
-    figure: Figure, axes: dict[str, Any], names: Sequence[str], title: str, height: float, predicted: bool
-) -> None:
+def _finish(figure: Figure, axes: dict[str, Any], names: Sequence[str], title: str, predicted: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -232,16 +230,5 @@ def _finish(
         Patch(color=BAND, label="95 % if white"),
     ]
     for name, each in keys.items():
-        figure.legend(
-            handles=each,
-            loc="upper left",
-            bbox_to_anchor=(axes[name].get_position().x0, 1.0 - 0.27 / height),
-            ncols=len(each),
-            frameon=False,
-            borderpad=0.0,
-            borderaxespad=0.0,
-            columnspacing=0.9,
-            handlelength=1.2,
-            handletextpad=0.4,
-            fontsize=6.5,
-        )
+        left = axes[name].get_position().x0
+        write_keys(figure, left, each, columnspacing=0.9, handlelength=1.2, handletextpad=0.4, fontsize=6.5)

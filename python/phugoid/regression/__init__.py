@@ -28,7 +28,6 @@ __all__ = [
     "channels",
     "equations",
     "groups",
-    "parameters_in",
     "unknowns_of",
 ]
 
@@ -142,11 +141,6 @@ def _present(run: Experiment, output: str) -> tuple[_Array, _Array]:
     z = run.output(output)
     there = np.isfinite(z)
     return run.t[there], z[there]
-
-
-def parameters_in(model: Model, listed: Sequence[Equation], free: Sequence[str]) -> list[set[str]]:
-    """Return the free parameters in each equation."""
-    return [set(free).intersection(e.right.symbols) for e in listed]
 
 
 def groups(inside: Sequence[set[str]]) -> list[list[int]]:

@@ -18,7 +18,7 @@ from ..modelling.model import Model
 from ..notebook import Html, bullets, notebook_page, table
 from ..parameters import Estimate, Estimates, estimates_html, estimates_table, text_table
 from ..records import Record
-from . import Equation, EquationSides, Evaluation, Unknown, channels, equations, groups, parameters_in, unknowns_of
+from . import Equation, EquationSides, Evaluation, Unknown, channels, equations, groups, unknowns_of
 from .least_squares import Differentiator, FourierSmoothing, Regression, SavitzkyGolay, SmoothingSpline, regress
 from .selected_terms import SelectedTerms, TermSelection, check_keep, selection_options
 from .term_selection import select_terms, with_candidates, without
@@ -223,7 +223,8 @@ def equation_error(
     sides = [EquationSides(model, run, measured, listed, way) for run in runs]
     apart = [EquationSides(model, run, measured, listed, way) for run in others]
 
-    inside = parameters_in(model, listed, [n for n, p in model.declared_parameters.items() if not p.fixed])
+    free = {n for n, p in model.declared_parameters.items() if not p.fixed}
+    inside = [free.intersection(e.right.symbols) for e in listed]
     found: dict[str, tuple[Regression, int]] = {}
     collinear: list[tuple[tuple[str, ...], float]] = []
     warnings: list[str] = []

@@ -179,7 +179,7 @@ def _figure(misfit: Misfit, channels: Sequence[str] | None) -> tuple[Figure, dic
                 panels[f"{name} {what}"] = part.add_subplot(grid[1, i])
             _draw_autocorrelation(panels[f"{name} autocorrelation"], channel)
             _draw_spectrum(panels[f"{name} spectrum"], channel)
-            _draw_regime(panels[f"{name} regime"], channel, records)
+            _draw_regime(panels[f"{name} regime"], channel)
     return figure, panels
 
 
@@ -282,7 +282,7 @@ def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
     axis.set_title(plain(f"power, {squared(c.unit)}{tones}"), fontsize=7.5)
 
 
-def _draw_regime(axis: Axes, c: ChannelMisfit, records: Sequence[Record]) -> None:
+def _draw_regime(axis: Axes, c: ChannelMisfit) -> None:
     regime = c.telling
     if regime is None:
         _empty(axis, "no regimes:\ntoo few samples, or nothing moves")

@@ -135,12 +135,12 @@ def curve_figure(finding: Finding) -> tuple[Figure, dict[str, Axes]]:
 
 
 def findings_figure(
-    fit: FitResult, extension: ExtensionResult, channels: Sequence[str] | None = None, record: int | None = None
+    fit: FitResult, extension: ExtensionResult, channels: Sequence[str] | None = None
 ) -> tuple[Figure, dict[str, Axes]]:
-    """Per channel: residuals before and after, and beneath what the extension changes in the model's output.
+    """Per channel of the experiment where residuals fall most, in parts of what they were: residuals before and after,
+    and beneath what the extension changes in the model's output.
 
     channels  names; None: the three of which the RMS falls most.
-    record    index of the experiment; None: the one where residuals fall most, in parts of what they were.
 
     The change is the output of the extended model minus that of the base model, each at its own estimates: the added
     effect with what the other parameters made of it. Returns the figure and the axes by ``"<channel>"`` and
@@ -149,9 +149,8 @@ def findings_figure(
     import matplotlib.pyplot as plt
     from matplotlib import rc_context
 
-    if record is None:
-        falls = [_fall(b, a) for b, a in zip(fit.records, extension.fit.records, strict=True)]
-        record = int(np.argmin(falls))
+    falls = [_fall(b, a) for b, a in zip(fit.records, extension.fit.records, strict=True)]
+    record = int(np.argmin(falls))
     before, after = fit.records[record], extension.fit.records[record]
     known = [name for name in before.residuals if name in after.residuals]
     if channels is None:
@@ -207,7 +206,7 @@ def _finite(value: float) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def ranking_figure(ranking: Sequence[Scored], threshold: float, best: int = _BARS) -> tuple[Figure, dict[str, Axes]]:
+def ranking_figure(ranking: Sequence[Scored], threshold: float) -> tuple[Figure, dict[str, Axes]]:
     """Bars of the best candidates: twice the expected gain in log-likelihood, against the threshold.
 
     Filled bars use residuals whitened, ticks noise without the best few terms, which candidates are ranked by, circles
@@ -220,7 +219,7 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float, best: int = _BAR
 
     if not ranking:
         raise DataError("ranking_figure: there are no candidates")
-    shown = sorted(ranking, key=lambda s: s.ranking, reverse=True)[:best]
+    shown = sorted(ranking, key=lambda s: s.ranking, reverse=True)[:_BARS]
     with rc_context({**STYLE, "hatch.linewidth": 0.4}):
         figure, axis = plt.subplots(figsize=(WIDTH, 0.24 * len(shown) + 0.9), layout="constrained")
         low = max(1.0, 0.3 * min(threshold, *(s.statistic for s in shown)))

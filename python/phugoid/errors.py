@@ -8,7 +8,7 @@ number begin with ``what``, which names the function and the option: "bootstrap:
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, NoReturn, TypeVar
 
@@ -26,10 +26,12 @@ __all__ = [
     "did_you_mean",
     "finite",
     "is_whole",
+    "joined",
     "listing",
     "part",
     "positive",
     "refuse_attribute",
+    "some",
     "whole",
 ]
 
@@ -154,6 +156,20 @@ def refuse_attribute(instance: Any, kind: type, name: str, value: Any) -> None:
         known = [n for n in dir(kind) if not n.startswith("_")]
         article = "an" if what[0] in "AEIOU" else "a"
         raise UnknownAttribute(f"{article} {what} has no attribute '{name}'.{did_you_mean(name, known)}")
+
+
+def joined(names: Sequence[str], last: str = "and") -> str:
+    """Return names as a sentence lists them.
+
+    >>> joined(["p"]), joined(["p", "q", "r"])
+    ('p', 'p, q and r')
+    """
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
+
+
+def some(names: Sequence[str], most: int = 40) -> str:
+    """Return names separated by commas, the first few only where there are many."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def is_whole(value: Any) -> bool:

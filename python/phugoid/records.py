@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .data.experiment import Experiment
 from .data.interpolation import Interpolations, kinds_for
-from .errors import ByName, DataError
+from .errors import ByName, DataError, joined
 from .modelling.model import Model
 from .notebook import channels_table, notebook_page
 from .tabular import record_dataset, record_frame
@@ -206,9 +206,8 @@ def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[
             group.append(name)
     found = []
     for members in (g for g in groups if len(g) > 1):
-        listed = f"{', '.join(members[:-1])} and {members[-1]}"
         found.append(
-            f"outputs {listed} hold the same measurement: their residuals are nearly proportional. "
+            f"outputs {joined(members)} hold the same measurement: their residuals are nearly proportional. "
             f"Each counts as if its noise were its own, and so standard errors are too small, by √{len(members)} where "
             f"nothing else is measured: leave {'one' if len(members) == 2 else 'all but one'} out of the outputs"
         )

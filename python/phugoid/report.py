@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from .discrepancy.misfit.residuals_figure import plot_residuals
-from .errors import DataError, OptionError
+from .errors import DataError, OptionError, joined
 from .figures import fit as plot
 from .figures.estimates import plot_convergence, plot_parameters
 from .fit_result import FitResult
@@ -109,9 +109,8 @@ def _signed(value: float) -> str:
 
 
 def _listed(texts: Sequence[str]) -> str:
-    shown: Iterable[str] = texts if len(texts) <= _MOST else [*texts[: _MOST - 1], f"{len(texts) - _MOST + 1} more"]
-    *others, last = shown
-    return f"{', '.join(others)} and {last}" if others else last
+    shown = texts if len(texts) <= _MOST else [*texts[: _MOST - 1], f"{len(texts) - _MOST + 1} more"]
+    return joined(shown)
 
 
 _FIGURES = 6  # records shown; of more, the first

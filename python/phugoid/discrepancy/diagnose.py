@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..data.experiment import Experiment, as_experiments
-from ..errors import DataError, ModelError, OptionError, did_you_mean
+from ..errors import DataError, ModelError, OptionError, did_you_mean, some
 from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult
 from ..sensitivities.tangents import collocated
@@ -430,9 +430,7 @@ def _notes(
         return (f"{_EARLY[ended]} before the {len(listed)} candidates were scanned: only the misfit is told.",)
     notes = [f"{len(listed)} candidates, {len(scan.effects)} with their shapes, were scanned."]
     if scan.lost:
-        more = len(scan.lost) - _LOST_NAMED
-        names = ", ".join(scan.lost[:_LOST_NAMED]) + (f" and {more} more" if more > 0 else "")
-        notes.append(f"Cannot be told from the parameters already there: {names}.")
+        notes.append(f"Cannot be told from the parameters already there: {some(scan.lost, _LOST_NAMED)}.")
     if others:
         what = "sensor biases" if free is None else ", ".join(free) or "nothing else"
         notes.append(f"Gains were measured on {', '.join(e.name for e in others)}, with first states and {what} free.")

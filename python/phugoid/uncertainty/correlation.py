@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DataError, UnknownName, did_you_mean, listing
+from ..errors import DataError, UnknownName, did_you_mean, joined, listing
 from ..figures import STYLE, WIDTH, headline, plain
 from ..fit_result import FitResult
 from ..notebook import bullets, notebook_page, table
@@ -46,12 +46,11 @@ class WeakDirection:
     index: float
 
     def __str__(self) -> str:
-        names = list(self.steps)
-        listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
         moves = ", ".join(f"{name} by {step:+.2g}" for name, step in self.steps.items())
         return (
-            f"{listed} are hardly distinguishable: {moves} together is only one standard error (condition index "
-            f"{self.index:.0f}); fix one of them, give it a prior, or fly a manoeuvre that moves them separately"
+            f"{joined(list(self.steps))} are hardly distinguishable: {moves} together is only one standard error "
+            f"(condition index {self.index:.0f}); fix one of them, give it a prior, or fly a manoeuvre that moves them "
+            "separately"
         )
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...data.experiment import Experiment
-from ...errors import PhugoidError
+from ...errors import PhugoidError, joined
 from ..candidates.candidate import Candidate
 from ..misfit.phrases import number
 from ..search import Search, SearchResult
@@ -55,7 +55,7 @@ class DiscriminatingManoeuvre:
         length = number(float(self.record.t[-1] - self.record.t[0]))
         return (
             f"A {self.manoeuvre}, recorded for {length} s, would be expected to tell it from "
-            f"{_listed(tuple(self.gains), 'and')} (expected gain in log-likelihood {number(min(self.gains.values()))}, "
+            f"{joined(tuple(self.gains), 'and')} (expected gain in log-likelihood {number(min(self.gains.values()))}, "
             f"this record gives {self.here:.1f})."
         )
 
@@ -80,8 +80,8 @@ class Advice:
         sentences = [str(t) for t in self.manoeuvres]
         if self.alike and self.tried:
             sentences.append(
-                f"No manoeuvre of {_listed(self.tried, 'or')} tried here ({KINDS}; {number(self.length)} s, up to "
-                f"{GREATEST:g} times as far as in this record) would tell it from {_listed(self.alike, 'or')}: they "
+                f"No manoeuvre of {joined(self.tried, 'or')} tried here ({KINDS}; {number(self.length)} s, up to "
+                f"{GREATEST:g} times as far as in this record) would tell it from {joined(self.alike, 'or')}: they "
                 "act alike."
             )
         return " ".join(sentences)
@@ -131,10 +131,6 @@ def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
         open_ = [k for k in open_ if k not in mine]
     tried = tuple(dict.fromkeys(m.input for m in flyable.manoeuvres))
     return Advice(tuple(chosen), alike, tried, float(flyable.t[-1] - flyable.t[0]))
-
-
-def _listed(names: Sequence[str], last: str) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
 def advice_of(search: Search, result: SearchResult, candidate: Candidate | None, aliases: Sequence[str]) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...errors import joined
 from ...fit_result import FitResult
 from ..candidates.terms import where
 from ..misfit.phrases import number, per_second, percent
@@ -248,7 +249,7 @@ def _shape(d: Disturbance) -> str:
     """Return the values of a function at its ends and in the middle, in words."""
     picked = [0, d.knots.size // 4, d.knots.size // 2, 3 * d.knots.size // 4, d.knots.size - 1]
     pairs = [f"{number(float(d.values[i]), 3)} at {number(float(d.knots[i]), 3)}" for i in picked]
-    return f"{', '.join(pairs[:-1])} and {pairs[-1]}"
+    return joined(pairs)
 
 
 def _advice(r: Remainder) -> str:

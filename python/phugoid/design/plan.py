@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError, UnknownName, did_you_mean
-from ..figures import LIMIT, SERIES, STYLE, WIDTH, labelled, plain
+from ..figures import LIMIT, SERIES, WIDTH, labelled, plain, styled
 from ..notebook import Rows, overview, sparkline
 from ..parameters import Estimates, correlation_matrix, text_table
 from ..records import Record
@@ -375,14 +375,11 @@ _CHANNEL, _AROUND, _LEAST = 0.8, 0.9, 3.0
 def _plot(plans: Sequence[Plan]) -> tuple[Figure, dict[str, Axes]]:
     """Plot time histories on the left, relative errors of all parameters on the right; axes by channel, and
     "errors"."""
-    from matplotlib import pyplot as plt
-    from matplotlib import rc_context
-
     first = plans[0].records[0]
     channels = [*first.inputs, *first.outputs]
     excursions = plans[0].excursions[first.name]
     channels += [n for n, e in excursions.items() if e.limit is not None and n not in channels]
-    with rc_context(STYLE):
+    with styled() as plt:
         height = max(_CHANNEL * len(channels) + _AROUND, _LEAST)
         figure = plt.figure(figsize=(WIDTH, height), layout="constrained")
         left, right = figure.subfigures(1, 2, width_ratios=(1.25, 1.0), squeeze=False)[0]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,6 +35,7 @@ __all__ = [
     "labelled",
     "plain",
     "squared",
+    "styled",
     "with_gaps",
     "write_keys",
 ]
@@ -73,10 +75,19 @@ STYLE: dict[Any, Any] = {
     "xtick.major.size": 2.5,
     "ytick.major.size": 2.5,
 }
-"""For `matplotlib.rc_context`. Letters can be read where the figure is printed 170 mm wide."""
+"""For `styled`. Letters can be read where the figure is printed 170 mm wide."""
 
 WIDTH = 7.2
 """Inches: between the margins of an A4 page."""
+
+
+@contextmanager
+def styled(more: Mapping[str, Any] | None = None) -> Iterator[Any]:
+    """Yield `matplotlib.pyplot`, which is imported here, with the common style in force, and ``more``."""
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context({**STYLE, **(more or {})}):
+        yield plt
 
 
 def figure_of(axis: Axes) -> Figure:

@@ -23,13 +23,13 @@ from . import (
     MODEL,
     RESIDUAL,
     STATE,
-    STYLE,
     TOLERANCE,
     WIDTH,
     figure_of,
     headline,
     labelled,
     plain,
+    styled,
     with_gaps,
     write_keys,
 )
@@ -256,8 +256,6 @@ def _draw(
     title: str,
     tolerances: Mapping[str, Tolerance] = MappingProxyType({}),
 ) -> tuple[Figure, dict[str, Axes]]:
-    from matplotlib import rc_context
-
     if isinstance(channels, str):
         raise DataError(f"channels='{channels}' is text: give a list, such as channels=['{channels}']")
     if channels is None:
@@ -274,7 +272,7 @@ def _draw(
         raise DataError(f"record '{record.name}': there is no channel to plot")
     if axes is not None and not axes:
         raise DataError("axes={}: give at least one axis, or None for a new figure")
-    with rc_context(STYLE):
+    with styled():
         if axes is None:
             figure, panels = _layout(record, channels)
         else:

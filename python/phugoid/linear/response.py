@@ -19,11 +19,11 @@ from ..figures import (
     PURPLE,
     RESIDUAL,
     STATE,
-    STYLE,
     WIDTH,
     figure_of,
     headline,
     plain,
+    styled,
     write_keys,
 )
 from ..notebook import overview, sparkline
@@ -62,8 +62,6 @@ def plot_frequency_response(
     Returns the figure and the axes by name. Raises DataError where a model is of another input or output, or the
     coherence is asked for and not known, or nothing lies in the band.
     """
-    from matplotlib import rc_context
-
     for model in models:
         if (model.input, model.output) != (empirical.input, empirical.output):
             raise DataError(
@@ -81,7 +79,7 @@ def plot_frequency_response(
             f"'{empirical.label}' has no coherence: take method='h1', smoothing or several periods in "
             "frequency_response"
         )
-    with rc_context(STYLE):
+    with styled():
         rows = -(-(1 + len(models) + (empirical.std_error is not None)) // _COLUMNS)
         panels = _layout(panel_names, rows) if axes is None else dict(axes)
         figure = figure_of(panels[panel_names[0]])

@@ -9,7 +9,7 @@ from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from ..errors import OptionError, did_you_mean, is_whole, listing
-from ..figures import MEASURED, MODEL, RULE, STATE, STYLE, WIDTH, plain
+from ..figures import MEASURED, MODEL, RULE, STATE, WIDTH, plain, styled
 from ..notebook import notebook_page, paragraph, table
 from ..parameters import text_table
 from .subsets import SubsetStatistics
@@ -183,15 +183,12 @@ class SelectedTerms:
 
         Returns the figure and its axes, ``{"error": ...}``.
         """
-        import matplotlib.pyplot as plt
-        from matplotlib import rc_context
-
         at = list(range(len(self.steps)))
         curves = (
             ("RMS", "rms", MEASURED, "o-"), ("PRESS", "press", MODEL, "s--"), ("√PSE", "pse", STATE, "^:"),
             ("held out", "held_out", "#000000", "D-."),
         )  # fmt: skip
-        with rc_context(STYLE):
+        with styled() as plt:
             figure, axis = plt.subplots(figsize=(WIDTH, 2.8), layout="constrained")
             axis.axvline(self.chosen, color=RULE, linewidth=4.0, zorder=0)
             for label, name, color, style in curves:

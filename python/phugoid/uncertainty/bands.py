@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError, UnknownName, check_progress, did_you_mean, part
-from ..figures import BAND, MEASURED, MODEL, SPAN, STYLE, WIDTH, labelled, plain
+from ..figures import BAND, MEASURED, MODEL, SPAN, WIDTH, labelled, plain, styled
 from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..initialisation import spread
@@ -240,13 +240,10 @@ _BAND_COLUMNS, _BAND_HEIGHT = 2, 1.8
 
 def plot_bands(bands: Any, title: str) -> tuple[Figure, dict[str, Axes]]:
     """Plot one panel for each output: measured points, the model's line, and both bands."""
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
-
     names = list(bands.model)
     columns = min(_BAND_COLUMNS, len(names)) if len(names) > 2 else 1
     rows = math.ceil(len(names) / columns)
-    with rc_context(STYLE):
+    with styled() as plt:
         figure, grid = plt.subplots(
             rows, columns, figsize=(WIDTH, _BAND_HEIGHT * rows + 0.7), squeeze=False, sharex=True
         )

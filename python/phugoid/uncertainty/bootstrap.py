@@ -16,7 +16,7 @@ from ..errors import DataError, OptionError, is_whole, part, whole
 from ..estimation import estimate
 from ..estimation.starts import Outcome, Problem, stream
 from ..estimation.workers import common_to, run_all
-from ..figures import BAND, GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
+from ..figures import BAND, GREY, MEASURED, ORANGE, WIDTH, labelled, plain, styled
 from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult
 from ..notebook import Rows, overview, sparkline
@@ -165,12 +165,9 @@ class Bootstrap:
 def _plot(
     found: Bootstrap, names: Sequence[str], intervals: Mapping[str, tuple[float, float]]
 ) -> tuple[Figure, dict[str, Axes]]:
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
-
     columns = min(_COLUMNS, max(len(names), 1))
     rows = math.ceil(len(names) / columns)
-    with rc_context(STYLE):
+    with styled() as plt:
         figure, grid = plt.subplots(rows, columns, figsize=(WIDTH, _HEIGHT * rows + 0.4), squeeze=False)
         axes: dict[str, Axes] = dict(zip(names, grid.ravel(), strict=False))
         for axis in grid.ravel()[len(names) :]:

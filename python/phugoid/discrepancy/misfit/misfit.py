@@ -18,11 +18,11 @@ from ...figures import (
     MODEL,
     RESIDUAL,
     SPAN,
-    STYLE,
     WIDTH,
     labelled,
     plain,
     squared,
+    styled,
     with_gaps,
 )
 from ...fit_result import FitResult
@@ -145,9 +145,6 @@ _NAME = 90  # characters across the figure
 
 def _figure(misfit: Misfit, channels: Sequence[str] | None) -> tuple[Figure, dict[str, Axes]]:
     """Draw `Misfit.plot`."""
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
-
     names = list(misfit.worst[:3] if channels is None else channels)
     for name in names:
         if name not in misfit.channels:
@@ -155,7 +152,7 @@ def _figure(misfit: Misfit, channels: Sequence[str] | None) -> tuple[Figure, dic
     if not names:
         raise DataError("Misfit.plot: there is no channel to draw")
     panels: dict[str, Any] = {}
-    with rc_context(STYLE):
+    with styled() as plt:
         figure = plt.figure(figsize=(WIDTH, _PER_CHANNEL * len(names) + 0.25), layout="constrained")
         parts = figure.subfigures(len(names), 1, squeeze=False)[:, 0]
         for part, name in zip(parts, names, strict=True):

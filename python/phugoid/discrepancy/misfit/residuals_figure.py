@@ -16,12 +16,12 @@ from ...figures import (
     INPUT,
     MEASURED,
     RESIDUAL,
-    STYLE,
     WIDTH,
     headline,
     labelled,
     plain,
     squared,
+    styled,
     with_gaps,
     write_keys,
 )
@@ -68,14 +68,11 @@ def plot_residuals(
     Returns the figure and the axes by ``"<output>"``, ``"<output> autocorrelation"``, ``"<output> spectrum"``. Raises
     UnknownName for an output or an experiment that is not there, DataError where nothing was measured.
     """
-    from matplotlib import pyplot as plt
-    from matplotlib import rc_context
-
     chosen = choose_record(fit.records, record)
     names = _chosen(chosen, channels)
     sigmas = sigmas_of(fit, chosen)
     axes: dict[str, Any] = {}
-    with rc_context(STYLE):
+    with styled() as plt:
         height = _ROW * len(names) + _HEAD + _FOOT
         figure = plt.figure(figsize=(WIDTH, height))
         grid = figure.add_gridspec(

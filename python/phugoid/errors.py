@@ -23,6 +23,7 @@ __all__ = [
     "UnknownAttribute",
     "UnknownName",
     "check_progress",
+    "check_time_limit",
     "did_you_mean",
     "finite",
     "is_whole",
@@ -218,3 +219,10 @@ def check_progress(caller: str, progress: Any) -> None:
     """Raise OptionError, in the caller's name, for what is neither a truth value nor a function."""
     if not isinstance(progress, bool) and not callable(progress):
         raise OptionError(f"{caller}: progress is True, False or a function, not {progress!r}")
+
+
+def check_time_limit(caller: str, time_limit: Any) -> None:
+    """Raise OptionError, in the caller's name, unless a limit is a number of seconds from 0, or None."""
+    number = isinstance(time_limit, Real) and not isinstance(time_limit, bool)
+    if time_limit is not None and not (number and float(time_limit) >= 0):
+        raise OptionError(f"{caller}: time_limit is a number of seconds from 0, or None, not {time_limit!r}")

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import OptionError, part, whole
+from ..errors import check_time_limit, part, whole
 
 __all__ = [
     "HINTS",
@@ -247,9 +247,7 @@ def check_time() -> None:
 
 def limited(caller: str, time_limit: Any) -> Deadline:
     """Return the deadline of a call with this option; OptionError, in the caller's name, for an invalid time."""
-    number = isinstance(time_limit, Real) and not isinstance(time_limit, bool)
-    if time_limit is not None and not (number and float(time_limit) >= 0):
-        raise OptionError(f"{caller}: time_limit is a number of seconds from 0, or None, not {time_limit!r}")
+    check_time_limit(caller, time_limit)
     return Deadline(time_limit)
 
 

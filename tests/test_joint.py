@@ -61,6 +61,17 @@ def test_records_too_short_and_single_channels_have_none() -> None:
     assert len(MultivariateWhitening.fitted(process(60, 3), rows(60, 3))) < 4
 
 
+def test_short_pieces_between_gaps_tell_of_no_high_order() -> None:
+    pieces, each = 40, 4
+    n = pieces * each
+    at = np.arange(3 * n).reshape(3, n).T
+    grid = np.arange(n) + np.repeat(np.arange(pieces), each)  # a sample is missing after each piece
+    strands = [[UniformSegment(slice(i * n, (i + 1) * n), grid)] for i in range(3)]
+    complete = [at[k : k + each] for k in range(0, n, each)]
+    found = MultivariateWhitening.fitted(process(n, 4), RowStructure(strands, [(tuple(range(3)), at)], complete))
+    assert 1 <= len(found) < each
+
+
 def gusts(seed: int, size: float) -> tuple[ph.Model, ph.Experiment]:
     """The HFB-320-like aircraft in turbulence: gusts of angle of attack, a first-order process of 1 s."""
     case = nothing("hfb320", "white", seed)

@@ -170,10 +170,17 @@ _OF_THESE_RECORDS = (
 )
 
 
-def _is_minor(search: Search, result: SearchResult, found: Found) -> bool:
-    """Tell whether what was found is no cause that is named: it explains too little, at the end or on the way there."""
-    named = found.candidate is None or found.candidate.name in result.final.names
-    return not named or search.assessment.is_minor(found.explained)
+# Part of the misfit that a tone, a drift or an event must explain where the validation records do not have it.
+_ALONE = 0.2
+
+
+def _is_minor(search: Search, result: SearchResult, found: Found, kept: Refit) -> bool:
+    """Tell whether what was found is no cause that is named: it explains too little, at the end or on the way there; of
+    what the validation records do not confirm (it is not ``kept``) more is asked."""
+    name = found.candidate.name if found.candidate is not None else ""
+    alone = name in result.final.names and name not in kept.names
+    little = alone and found.explained is not None and found.explained.part < _ALONE
+    return (bool(name) and name not in result.final.names) or little or search.assessment.is_minor(found.explained)
 
 
 def ranking_of(search: Search, scan: Scan) -> list[Scored]:
@@ -310,7 +317,7 @@ def diagnose(
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
             final, found = result.final, result.found
             kept = final if interrupted else search.shared(final)
-            findings = [finding_of(result, f, _is_minor(search, result, f), kept) for f in found]
+            findings = [finding_of(result, f, _is_minor(search, result, f, kept), kept) for f in found]
             told = [b for b in between if b.kind != "cubic"]
             units, margin = fit.model.units, RemainderSettings().margin
             held = [finding_of_recorded_input(b, margin, units.get(b.name, "")) for b in told]

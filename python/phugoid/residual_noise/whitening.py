@@ -165,7 +165,8 @@ class MultivariateWhitening:
         runs = [run / scale for run in runs]
         orders: list[_Order] = []
         for p in range((_MOST if order is None else order) + 1):
-            if total < _SAMPLES_PER_COEFFICIENT * n_y * max(p, 1):
+            # Only samples with as many before them in their run say anything of that order.
+            if sum(max(run.shape[0] - p, 0) for run in runs) < _SAMPLES_PER_COEFFICIENT * n_y * max(p, 1):
                 break
             now, past = _regression(runs, p)
             coefficients = np.linalg.lstsq(past, now, rcond=1e-12)[0] if p else np.empty((0, n_y))

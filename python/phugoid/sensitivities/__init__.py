@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -12,13 +12,7 @@ from numpy.typing import NDArray
 from .._core import Expr
 from ..modelling.compiled import CompiledExpressions
 
-__all__ = [
-    "AddedTerm",
-    "Derivatives",
-    "Place",
-    "Points",
-    "Values",
-]
+__all__ = ["AddedTerm", "Derivatives", "Place", "Points", "Values", "shown_by_outputs"]
 
 
 _Array = NDArray[np.float64]
@@ -80,6 +74,56 @@ class AddedTerm(Protocol):
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         """Return the signals (k, n) at the points; k is the number of coefficients, or 1 with unit amplitude."""
         ...
+
+
+# Points at which an output is compared with a right-hand side, and the relative difference that is rounding.
+_TRIED, _ROUNDING = 5, 1e-8
+
+
+def shown_by_outputs(
+    equations: Mapping[tuple[str, str], Expr], parameters: Sequence[str]
+) -> dict[str, dict[str, float]]:
+    """Return, for states whose rates outputs show, output -> multiple of the rate that is in it.
+
+    An accelerometer shows the forces on what it is mounted on, be they written out in its output once more or not: what
+    is missing in an equation is missing there, too. It shows them where all parameters of a right-hand side, two at
+    least, change the output as many times as much as the rate, whatever the motion.
+    """
+    known: dict[str, Any] = {}
+    for (kind, name), e in equations.items():
+        if kind == "quantity":
+            known[name] = Expr(e.substitute(known))
+    rates, outputs = (
+        {n: Expr(e.substitute(known)) for (kind, n), e in equations.items() if kind == wanted}
+        for wanted in ("equation", "output")
+    )
+    found: dict[str, dict[str, float]] = {}
+    for state, rate in rates.items():
+        own = [p for p in parameters if p in rate.symbols]
+        for output, e in outputs.items() if len(own) > 1 else ():
+            multiple = _multiple(e, rate, own) if {*own} <= {*e.symbols} else None
+            if multiple is not None:
+                found.setdefault(state, {})[output] = multiple
+    return found
+
+
+def _multiple(e: Expr, rate: Expr, parameters: Sequence[str]) -> float | None:
+    """Return how many times as much as a rate an expression changes by each of some parameters; None where that is not
+    the same number for all of them everywhere."""
+    random = np.random.default_rng(0)
+    pairs = [(Expr(e.diff(p)), Expr(rate.diff(p))) for p in parameters]
+    names = sorted({*e.symbols, *rate.symbols})
+    ratios = []
+    for _ in range(_TRIED):
+        at = dict(zip(names, random.uniform(0.5, 1.5, len(names)).tolist(), strict=True))
+        for mine, theirs in pairs:
+            slope = theirs.evaluate(at)
+            if slope:
+                ratios.append(mine.evaluate(at) / slope)
+    values = np.array(ratios)
+    if not values.size or not np.isfinite(values).all() or not values[0]:
+        return None
+    return float(values[0]) if np.ptp(values) <= _ROUNDING * abs(values[0]) else None
 
 
 # Models of more parameters than this are not asked what each of them moves at every point.
@@ -151,6 +195,7 @@ class Derivatives:
                 if symbol in e.symbols:
                     of_sensor = plain[k].diff(symbol).substitute(known) if air else 0.0
                     ask("place g", place, k, Expr(e.diff(symbol) - of_sensor))
+        self._shown = shown_by_outputs(equations, self.parameters)
         self.n_quantities = len(quantities)
         self._compiled = CompiledExpressions(asked, self.parameters, inputs, self.states)
 
@@ -170,7 +215,10 @@ class Derivatives:
         for k, name in enumerate(self.states):
             slope = np.zeros((n_x, n))
             slope[k] = 1.0
-            v.by_place[Place("equation", name)] = (slope, np.zeros((n_y, n)))
+            direct = np.zeros((n_y, n))
+            for output, multiple in self._shown.get(name, {}).items():
+                direct[self.outputs.index(output)] = multiple
+            v.by_place[Place("equation", name)] = (slope, direct)
         for what, which, row, k in self._entries:
             if what in ("f", "g", "quantities"):
                 getattr(v, what)[row] = rows[k]

@@ -15,7 +15,7 @@ from ...errors import ModelError, did_you_mean
 from ...modelling.declared import Key
 from ...modelling.model import Model
 from ...parameters import Parameter
-from ...sensitivities import Place, Points
+from ...sensitivities import Place, Points, shown_by_outputs
 from .scales import Scales, of
 
 __all__ = [
@@ -26,7 +26,7 @@ __all__ = [
     "largest_coefficient",
     "place_range",
     "unused",
-    "with_other_centres",
+    "with_variants",
 ]
 
 _Array = NDArray[np.float64]
@@ -69,6 +69,11 @@ class Candidate(ABC):
         return False
 
     @property
+    def jumps(self) -> bool:
+        """Tell whether it jumps along the motion, for which a fit takes many iterations."""
+        return False
+
+    @property
     def begins_measured(self) -> bool:
         """Tell whether a fit may begin at the measured motion: the one without the candidate goes where it cannot."""
         return False
@@ -101,6 +106,11 @@ class Candidate(ABC):
         experiment. None where they suggest nothing."""
         return None
 
+    def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
+        """Return the same effect, by the same name, about other centres or with other sides, of which a record does not
+        say which is right: the scan does."""
+        return ()
+
     @abstractmethod
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         """Range of each of its parameters, in its unit, outside of which it is no physical explanation."""
@@ -108,8 +118,10 @@ class Candidate(ABC):
 
 _Self = TypeVar("_Self", bound="Effect")
 
+# Centres of powers differ when they are further apart than this part of a variable's range.
+_NEAR = 0.05
 # Families that are functions of the present value of one variable, other than constants and linear ones.
-_SHAPED = ("square", "cube", "quadratic", "absolute", "sign", "deadband", "saturation")
+_SHAPED = ("square", "cube", "quadratic", "absolute", "root", "sign", "deadband", "saturation")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -155,6 +167,26 @@ class Effect(Candidate):
         if not all(self.scales.varies(name) for name in self.variables):
             return False
         return len(self.variables) != 1 or self.family not in _SHAPED or self.scales.tells(*self.variables, self.family)
+
+    def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
+        """Of one that is centred at a trim: about zero, where that is no further from the record's values than these
+        vary, and about the first values."""
+        found: list[Candidate] = []
+        if not self.centred:
+            return found
+        scales, names = self.scales, self.variables
+        tried = [[scales.centre(n) for n in names]]
+        zero = [0.0 if scales.reaches_zero(n) else scales.centre(n) for n in names]
+        first = [float(np.mean([of(p.values, n, p, "state, input or quantity")[0] for p in points])) for n in names]
+        for centres in (zero, first):
+            far = [
+                any(abs(a - b) > _NEAR * scales.span(n) for a, b, n in zip(centres, t, names, strict=True))
+                for t in tried
+            ]
+            if all(far):
+                tried.append(centres)
+                found.append(self.on(replace(scales, trim={**scales.trim, **dict(zip(names, centres, strict=True))})))
+        return found
 
     def __repr__(self) -> str:
         return f"<{self.name}: {self.explanation}>"
@@ -246,6 +278,14 @@ class ExtensionBuilder:
         self.at(place)
         self.equations[place.kind, place.name] = Expr(e)
 
+    def add(self, place: Place, e: Any) -> None:
+        """Add an expression at a place; what is added to an equation is seen by outputs that show its rate, too."""
+        shown = shown_by_outputs(self.equations, self.old.parameter_names) if place.kind == "equation" else {}
+        for output, multiple in shown.get(place.name, {}).items():
+            key = ("output", output)
+            self.equations[key] = self.equations[key] + (e if multiple == 1.0 else multiple * e)
+        self.put(place, self.at(place) + e)
+
     def replace_input(self, name: str, by: Any) -> None:
         """Put an expression for an input wherever it stands."""
         if name not in self.old.declared_inputs:
@@ -305,33 +345,6 @@ def largest_coefficient(effect: Effect, shape: Mapping[str, float], points: Sequ
     return 2.0 * place_range(effect.place, points) / span if span > 0 else np.inf
 
 
-# Centres of powers differ when they are further apart than this part of a variable's range.
-_NEAR = 0.05
-
-
-def with_other_centres(candidates: Sequence[Candidate], points: Sequence[Points]) -> list[Candidate]:
-    """Candidates; and those that are centred at a trim once more about zero, where it lies within the record, and about
-    the first values.
-
-    A record does not say where its trim is: the scan does.
-    """
-    found: list[Candidate] = []
-    for c in candidates:
-        found.append(c)
-        if not (isinstance(c, Effect) and c.centred):
-            continue
-        scales, tried = c.scales, [[c.scales.centre(n) for n in c.variables]]
-        zero = [0.0 if scales.crosses(n) else scales.centre(n) for n in c.variables]
-        first = [
-            float(np.mean([of(p.values, n, p, "state, input or quantity")[0] for p in points])) for n in c.variables
-        ]
-        for centres in (zero, first):
-            far = [
-                any(abs(a - b) > _NEAR * scales.span(n) for a, b, n in zip(centres, t, c.variables, strict=True))
-                for t in tried
-            ]
-            if all(far):
-                tried.append(centres)
-                trim = {**scales.trim, **dict(zip(c.variables, centres, strict=True))}
-                found.append(c.on(replace(scales, trim=trim)))
-    return found
+def with_variants(candidates: Sequence[Candidate], points: Sequence[Points]) -> list[Candidate]:
+    """Return candidates, each followed by its variants (`Candidate.variants`)."""
+    return [v for c in candidates for v in (c, *c.variants(points))]

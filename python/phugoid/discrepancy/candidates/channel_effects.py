@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from ..._core import Expr
 from ...functions import smooth_abs
 from ...modelling.model import Model
 from ...sensitivities import Points
-from .candidate import Effect, ExtensionBuilder, place_range
+from .candidate import Candidate, Effect, ExtensionBuilder, largest_coefficient, place_range
 from .scales import (
     delay_bounds,
     delay_grid,
@@ -37,6 +37,7 @@ __all__ = [
     "InputLag",
     "InputScale",
     "Saturation",
+    "SensorCurve",
     "SensorDelay",
     "SensorLag",
     "SensorScale",
@@ -119,6 +120,32 @@ class SensorScale(Scale):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class SensorCurve(Effect):
+    """y becomes y + c (y - y0)^power: a characteristic that is no straight line."""
+
+    power: int = 2
+    stage: int = 6
+
+    @property
+    def _centre(self) -> float:
+        key = output_key(self.place.name)
+        return 0.0 if self.scales.reaches_zero(key) else self.scales.centre(key)
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        return ((channel(self, points) - self._centre) ** self.power)[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        c, y, centre = extension.parameter(self.coefficients[0]), extension.at(self.place), self._centre
+        extension.put(self.place, y + c * (y - centre if centre else y) ** self.power)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        largest = largest_coefficient(self, {}, points) / 2.0  # a sensor that is bent by half its range is none
+        return {self.coefficients[0]: (-largest, largest)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class SensorLag(Lag):
     """The output follows with a time constant: tau y' + y = what it was, from a steady start."""
 
@@ -161,8 +188,10 @@ _BEYOND = 0.02
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClippedSensor(Effect):
-    """The output goes no further than a limit: an upper one where it lies above the output's median, else a lower."""
+    """The output goes no further than a limit: an upper one where it lies above the output's median, else a lower; or,
+    on both sides, than as far from zero either way."""
 
+    both_sides: bool = False
     stage: int = 7
 
     @property
@@ -172,47 +201,65 @@ class ClippedSensor(Effect):
     def grid(self) -> Iterable[float]:
         low, high = self.scales.low.get(self._key, -0.5), self.scales.high.get(self._key, 0.5)
         parts = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4])
+        if self.both_sides:
+            return [float(x) for x in max(high, -low) * (1.0 - 2.0 * parts)]
         limits = [*(high - (high - low) * parts), *(low + (high - low) * parts)]
         centre = self.scales.centre(self._key)
         # Beyond the median most of the record would stand still.
         return [x for i, x in enumerate(limits) if (x > centre) == (i < parts.size)]
 
+    def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
+        return () if self.both_sides or not self.scales.crosses(self._key) else (replace(self, both_sides=True),)
+
     @property
     def _corner(self) -> float:
         return _CORNER * self.scales.span(self._key)
 
+    def _above(self, limit: float) -> bool:
+        return limit > self.scales.centre(self._key)
+
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         y, limit = channel(self, points), shape[self.shape_names[0]]
-        distance = np.sqrt((y - limit) ** 2 + self._corner**2)
-        side = -1.0 if limit > self.scales.centre(self._key) else 1.0
-        return np.asarray(0.5 * (limit - y + side * distance))[np.newaxis]
+        above, below = (np.hypot(y - side * limit, self._corner) for side in (1.0, -1.0))
+        if self.both_sides:
+            return np.asarray(0.5 * (below - above) - y)[np.newaxis]
+        return np.asarray(0.5 * (limit - y + (-above if self._above(limit) else above)))[np.newaxis]
 
     def suggested(self, measured: Mapping[str, Sequence[_Array]]) -> Mapping[str, float] | None:
         """Return the greatest or least value, where samples in a row have it again and again."""
         every = [z[np.isfinite(z)] for z in measured[self.place.name]]
         whole = np.concatenate(every)
-        for limit in (whole.max(), whole.min()) if whole.size else ():
-            in_a_row = sum(int(((z[1:] == limit) & (z[:-1] == limit)).sum()) for z in every)
-            if in_a_row > max(_PILED * whole.size, 5) and np.ptp(whole) > 0.0:
-                return {self.shape_names[0]: float(limit)}
-        return None
+        if not whole.size or np.ptp(whole) == 0.0:
+            return None
+        ends = [
+            float(limit)
+            for limit in (whole.max(), whole.min())
+            if sum(int(((z[1:] == limit) & (z[:-1] == limit)).sum()) for z in every) > max(_PILED * whole.size, 5)
+        ]
+        alike = len(ends) == 2 and abs(ends[0] + ends[1]) < _BEYOND * (ends[0] - ends[1])
+        if not ends or alike != self.both_sides:
+            return None
+        return {self.shape_names[0]: ends[0]}
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
         (name,) = self.shape_names
         first = float(extension.start.get(name, next(iter(self.grid()), 0.0)))
-        above, unit = first > self.scales.centre(self._key), model.units.get(self.place.name, "")
-        limit = extension.parameter(name, first, unit=unit)
+        limit = extension.parameter(name, first, unit=model.units.get(self.place.name, ""))
         y = extension.at(self.place)
-        distance = smooth_abs(y - limit, self._corner)
-        extension.put(self.place, 0.5 * (y + limit - distance if above else y + limit + distance))
+        above, below = smooth_abs(y - limit, self._corner), smooth_abs(y + limit, self._corner)
+        if self.both_sides:
+            extension.put(self.place, 0.5 * (below - above))
+        else:
+            extension.put(self.place, 0.5 * (y + limit - above if self._above(first) else y + limit + above))
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         # A limit that the output does not reach does nothing; one that it does reach is the end of its range.
         y = np.concatenate([channel(self, p) for p in points])
         more = _BEYOND * float(np.ptp(y))
-        return {self.shape_names[0]: (float(y.min()) - more, float(y.max()) + more)}
+        low, high = float(y.min()), float(y.max())
+        return {self.shape_names[0]: (0.0 if self.both_sides else low - more, max(high, -low) + more)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -82,7 +82,7 @@ class Hysteresis(Effect):
         rate = extension.at(Place("equation", x))
         size = smooth_abs(rate, _KINK * self.scales.span(rate_key(x)))
         z = extension.state(self._state, "", lambda z: (rate - 0.5 * (size * z + rate * smooth_abs(z, _KINK))) / d, 0.0)
-        extension.put(self.place, extension.at(self.place) + c * z)
+        extension.add(self.place, c * z)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
@@ -99,6 +99,10 @@ class Stribeck(Effect):
 
     @property
     def several_starts(self) -> bool:
+        return True
+
+    @property
+    def jumps(self) -> bool:
         return True
 
     def grid(self) -> Iterable[float]:
@@ -122,7 +126,7 @@ class Stribeck(Effect):
         size = extension.parameter(
             name, self.shapes[2][name], bounds=(2e-3 * peak, 5.0 * peak), unit=model.units.get(v, ""), transform="log"
         )
-        extension.put(self.place, extension.at(self.place) + c * self._shape(size))
+        extension.add(self.place, c * self._shape(size))
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
@@ -174,7 +178,7 @@ class FlexibleMode(Effect):
         zeta = extension.parameter(damping, _DAMPING, bounds=_DAMPINGS, transform="log")
         it = extension.at(self.place)
         z, _ = extension.states(self._states, lambda z, rate: (rate, w**2 * (it - z) - 2 * zeta * w * rate))
-        extension.put(self.place, it + c * z)
+        extension.add(self.place, c * z)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:

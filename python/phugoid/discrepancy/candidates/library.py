@@ -22,16 +22,17 @@ from .channel_effects import (
     InputLag,
     InputScale,
     Saturation,
+    SensorCurve,
     SensorDelay,
     SensorLag,
     SensorScale,
 )
 from .collection import Candidates, Directions, read_terms
 from .hysteresis import FlexibleMode, Hysteresis, Stribeck
-from .limits import Backlash, EndStop, RateLimit, StateLimit
+from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
 from .model_structure import ANGLES, ModelStructure, Variable
 from .scales import Scales, output_key, trim_of
-from .terms import FORMS, LaggedVariable, ParameterDrift, Periodic, Rate, Term, where
+from .terms import FORMS, LaggedVariable, ParameterDrift, Periodic, Rate, Ripple, Term, where
 
 __all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]
 
@@ -48,8 +49,10 @@ FAMILIES = (
     "damping",
     "quadratic",
     "absolute",
+    "root",
     "sign",
     "rate",
+    "curve",
     "lag",
     "delay",
     "deadband",
@@ -62,6 +65,7 @@ FAMILIES = (
     "limit",
     "hysteresis",
     "mode",
+    "ripple",
     "periodic",
 )
 # Those with a signal that depends on no shape: only they can be seen to be the same at single points.
@@ -84,11 +88,13 @@ def candidates(
 
     In quantities, and in state equations that hold parameters but no such quantity: constant and linear terms,
     squares, products and cubes of states and inputs, linear terms, squares and cubes of declared quantities that stand
-    there and hold no parameters (an angle of slip), x^2 v for rates v, x|x|, |x|, sign(x), first-order lags,
-    friction that is larger at rest, hysteresis, a lightly damped mode, a periodic disturbance. States that go no
-    further than a limit. In outputs: bias, scale, drift, delay, lag, clipping, linear terms, squares and products of
-    rates, derivatives of rates. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of
-    conditions (`Model.conditions`) scale, bias and delay.
+    there and hold no parameters (an angle of slip), x^2 v for rates v, x|x|, |x|, sign(x), square roots of what can be
+    stored (a level, a pressure), first-order lags, friction that is larger at rest, hysteresis, a lightly damped mode,
+    what is periodic in a position, a periodic disturbance, a limit of the whole where an input stands in it. States
+    that go no further than a limit. In outputs: bias, scale, a characteristic that is not straight, drift, delay, lag,
+    clipping, linear terms, squares and products of rates, derivatives of rates, lags of inputs that act at once. On
+    inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of conditions (`Model.conditions`)
+    scale, bias and delay.
     Parameters of the state equations may change in the course of a record. What the model's parameters can do already
     is left out, and so is what another candidate says too: names of `FAMILIES` that stand first win.
 
@@ -229,19 +235,10 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
     yield from (term("damping, rate first", v, w) for v, w in combinations(states, 2) if v.rate)
     for form in ("cube", "quadratic", "absolute"):
         yield from (term(form, v) for v in variables)
+    yield from (term("root", v) for v in variables if structure.is_store(v))
     yield from (term("sign", v) for v in variables if v.speed or v.kind == "input")
     shown, stem, words = structure.shown(place), _stem(place), where(place)
-    for v in variables:
-        yield LaggedVariable(
-            f"{shown}:lag_{v.shown}",
-            place,
-            f"{words} follows {v.shown} with a lag (unsteady effect)",
-            "lag",
-            scales,
-            (names(f"{stem}_lag_{v.shown}"),),
-            (names(f"tau_{stem}_{v.shown}"),),
-            variables=(v.symbol,),
-        )
+    yield from (_lagged(structure, place, v, scales, names) for v in variables)
     yield from _with_memory(structure, place, scales, names)
     coefficients = names(f"{stem}_sin"), names(f"{stem}_cos")
     yield Periodic(
@@ -252,6 +249,22 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
         scales,
         coefficients,
         (names(f"{stem}_frequency"),),
+    )
+
+
+def _lagged(
+    structure: ModelStructure, place: Place, variable: Variable, scales: Scales, names: _Names
+) -> LaggedVariable:
+    shown, stem = structure.shown(place), _stem(place)
+    return LaggedVariable(
+        f"{shown}:lag_{variable.shown}",
+        place,
+        f"{where(place)} follows {variable.shown} with a lag (unsteady effect)",
+        "lag",
+        scales,
+        (names(f"{stem}_lag_{variable.shown}"),),
+        (names(f"tau_{stem}_{variable.shown}"),),
+        variables=(variable.symbol,),
     )
 
 
@@ -269,7 +282,7 @@ def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names:
                 (names(f"{stem}_stribeck_{v.shown}"),),
                 (names(f"speed_{stem}_{v.shown}"),),
                 variables=(v.symbol,),
-                beside=f"{shown}:sign({v.shown})",
+                beside="" if structure.has_friction(place, v.symbol) else f"{shown}:sign({v.shown})",
             )
         moves = v.rate or structure.model.units.get(v.symbol, "").endswith("/s")
         if v.kind == "state" and v.symbol in structure.dynamics and not moves:
@@ -283,6 +296,29 @@ def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names:
                 (names(f"yield_{stem}_{v.shown}"),),
                 variables=(v.symbol,),
             )
+    for v in structure.variables:
+        if structure.is_position(v):
+            yield Ripple(
+                f"{shown}:periodic_{v.shown}",
+                place,
+                f"{words} is periodic in {v.shown} (cogging, ripple of a motor or a gear)",
+                "ripple",
+                scales,
+                (names(f"{stem}_sin_{v.shown}"), names(f"{stem}_cos_{v.shown}")),
+                (names(f"wave_number_{stem}_{v.shown}"),),
+                variables=(v.symbol,),
+                angle=structure.model.units.get(v.symbol, "") in ANGLES,
+            )
+    if any(v.kind == "input" and v.symbol in structure.expression(place).symbols for v in structure.variables):
+        yield LimitedForce(
+            f"{shown}:saturation",
+            place,
+            f"{words} comes to no more than a limit either way (a limited current, force or traction)",
+            "saturation",
+            scales,
+            (),
+            (names(f"saturation_{stem}"),),
+        )
     yield FlexibleMode(
         f"{shown}:mode",
         place,
@@ -330,6 +366,18 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
     yield from (term("square", v) for v in rates)
     yield from (term("product", v, w) for v, w in combinations(rates, 2))
     yield from (Rate.of(place, shown, v.symbol, names(f"y_{y}_{v.shown}_dot"), scales) for v in rates)
+    for power, degree in ((2, "square"), (3, "cube")):
+        if power == 3 or y not in {v.shown for v in rates}:  # of a rate there is its square already
+            words = (
+                f"the measurement of {y} has a part that goes with its {degree} (a characteristic that is not straight)"
+            )
+            coefficients, key = (names(f"y_{y}_{y}{power}"),), (output_key(y),)
+            name = f"{shown}:{y}^{power}"
+            yield SensorCurve(name, place, words, "curve", scales, coefficients, variables=key, power=power)
+    # Where an input acts on an output at once, a part of it may act through dynamics that the model has not.
+    at_once = {*structure.expression(place).symbols}
+    inputs = [v for v in structure.variables if v.kind == "input" and v.symbol in at_once]
+    yield from (_lagged(structure, place, v, scales, names) for v in inputs)
     words = f"the measurement of {y} goes no further than a limit (clipped sensor)"
     yield ClippedSensor(
         f"{shown}:clipped", place, words, "clipped", scales, (), (names(f"limit_{y}"),), variables=(output_key(y),)

@@ -1,10 +1,10 @@
-"""Limits: states that go no further (an overflow, an end stop), and actuators whose answer depends on the past of their
-command (backlash, a limited rate)."""
+"""Limits: states that go no further (an overflow, an end stop), forces that come to no more than one, and actuators
+whose answer depends on the past of their command (backlash, a limited rate)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,22 +15,19 @@ from ...functions import smooth_abs, smooth_step, tanh
 from ...modelling.model import Model
 from ...sensitivities import Points
 from ..misfit.phrases import per_second
-from .candidate import Effect, ExtensionBuilder
+from .candidate import Candidate, Effect, ExtensionBuilder
 from .channel_effects import channel
 from .scales import evaluated, of, rate_key
 
-__all__ = [
-    "Backlash",
-    "EndStop",
-    "RateLimit",
-    "StateLimit",
-]
+__all__ = ["Backlash", "EndStop", "LimitedForce", "RateLimit", "StateLimit"]
 
 
 _Array = NDArray[np.float64]
 
 # A limit is rounded over this part of the range of the state, its rate over that of its rate.
 _CORNER, _RATE = 0.004, 0.003
+# Part of the peak of a force over which its limit is rounded.
+_FORCE = 0.01
 # Widths of the corner before the limit, at which a step is half done.
 _CLOSED = 2.5
 # Parts of the range, from either end, at which a limit is looked for, and how far outside of it it may be.
@@ -149,6 +146,48 @@ class StateLimit(_StateEffect):
         return {self.shape_names[0]: self._reached(points)}
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class LimitedForce(Effect):
+    """A force, or a rate, that comes to no more than a limit either way: the current of a drive, the traction of a
+    tyre, the thrust of a motor. Corners are rounded as those of an input that saturates."""
+
+    stage: int = 5
+
+    @property
+    def _peak(self) -> float:
+        low, high = (group.get(self._key, 1.0) for group in (self.scales.low, self.scales.high))
+        return max(abs(low), abs(high)) or 1.0
+
+    @property
+    def _width(self) -> float:
+        return _FORCE * self._peak
+
+    @property
+    def _key(self) -> str:
+        return rate_key(self.place.name) if self.place.kind == "equation" else self.place.name
+
+    def grid(self) -> Iterable[float]:
+        return self._peak * np.array([0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2])
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        group = points.rates if self.place.kind == "equation" else points.values
+        force, limit = of(group, self.place.name, points, "rate or quantity"), shape[self.shape_names[0]]
+        within = 0.5 * (np.hypot(force + limit, self._width) - np.hypot(force - limit, self._width))
+        return (within - force)[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        peak, unit = self._peak, model.units.get(self.place.name, "") if self.place.kind == "quantity" else ""
+        limit = extension.parameter(self.shape_names[0], 0.9 * peak, bounds=(0.0, 2.0 * peak), unit=unit)
+        force = extension.at(self.place)
+        within = 0.5 * (smooth_abs(force + limit, self._width) - smooth_abs(force - limit, self._width))
+        extension.add(self.place, within - force)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        return {self.shape_names[0]: (0.1 * self._peak, self._peak)}
+
+
 def _crowded(z: _Array) -> tuple[float, float, float]:
     """Return the upper end of samples (n,), and the parts of them that are there and next to it."""
     end, width = float(np.quantile(z, 0.99)), _CROWDED * float(np.ptp(z))
@@ -172,10 +211,32 @@ class EndStop(_StateEffect):
     """A position that meets a stop: beyond the limit a stiff spring with losses acts on its rate, c d (1 + b d') with d
     = x - limit, which only pushes (Hunt and Crossley 1975, exponent 1). With great losses the position stays there.
 
-    ``speed``: the state that is the rate of the position.
+    speed       the state that is the rate of the position.
+    both_sides  whether there is another stop as far on the other side of zero.
     """
 
     speed: str = ""
+    both_sides: bool = False
+
+    def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
+        return () if self.both_sides or not self.scales.crosses(self._x) else (replace(self, both_sides=True),)
+
+    def grid(self) -> Iterable[float]:
+        if not self.both_sides:
+            return super().grid()
+        return [float(x) for x in max(abs(x) for x in self._span()) * (1.0 - 2.0 * _PARTS)]
+
+    def _side(self, limit: float) -> float:
+        return 1.0 if self.both_sides else super()._side(limit)
+
+    def reachable(self, states: Mapping[str, _Array], start: Mapping[str, float]) -> Mapping[str, _Array]:
+        name = self.shape_names[0]
+        if self.both_sides and name in start:
+            return {self._x: np.clip(states[self._x], -abs(start[name]), abs(start[name]))}
+        return super().reachable(states, start)
+
+    def suggested(self, measured: Mapping[str, Sequence[_Array]]) -> Mapping[str, float] | None:
+        return None if self.both_sides else super().suggested(measured)
 
     @property
     def begins_measured(self) -> bool:
@@ -186,7 +247,12 @@ class EndStop(_StateEffect):
         return _RESTS
 
     def _force(self, limit: Any, side: float, loss: Any) -> Expr:
-        """Return the force of a spring of unit stiffness, towards the stop."""
+        """Return the force of springs of unit stiffness on the position."""
+        upper = -side * self._push(limit, side, loss)
+        return Expr(upper + self._push(-limit, -side, loss)) if self.both_sides else Expr(upper)
+
+    def _push(self, limit: Any, side: float, loss: Any) -> Expr:
+        """Return the force of a spring of unit stiffness, away from the stop."""
         distance = side * (Expr.symbol(self._x) - limit)
         beyond = 0.5 * (distance + smooth_abs(distance, self._corner))
         push = 1.0 + side * loss * Expr.symbol(self.speed)
@@ -205,7 +271,7 @@ class EndStop(_StateEffect):
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         limit, *more = (shape[n] for n in self.shape_names if n in shape)
         side = self._side(limit)
-        return -side * evaluated(self._force(limit, side, more[0] if more else 0.0), points)[np.newaxis]
+        return evaluated(self._force(limit, side, more[0] if more else 0.0), points)[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
@@ -217,7 +283,7 @@ class EndStop(_StateEffect):
         c = extension.parameter(name, bounds=(0.0, most))
         limit, side = self._limit(extension)
         loss = extension.parameter(self.shape_names[1], _LITTLE * self._most_loss(), bounds=(0.0, self._most_loss()))
-        extension.put(self.place, extension.at(self.place) - side * c * self._force(limit, side, loss))
+        extension.add(self.place, c * self._force(limit, side, loss))
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
@@ -228,8 +294,9 @@ class EndStop(_StateEffect):
 
 # The state that follows the command settles within so many intervals of the mesh: less would be stiff for it.
 _SETTLES = 1.5
-# Corners are rounded over this part of the range of the command.
-_CORNER = 0.003
+# Corners are rounded over this part of the range of the command, and of a play that is small beside it, but over the
+# last part of that range at least.
+_CORNER, _OF_PLAY, _SHARPEST = 0.003, 0.1, 1e-4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -237,6 +304,10 @@ class _Follower(Effect):
     """A state z that follows the input u with a short time constant, and acts in its place."""
 
     stage: int = 3
+
+    @property
+    def jumps(self) -> bool:
+        return True
 
     @property
     def several_starts(self) -> bool:
@@ -254,11 +325,11 @@ class _Follower(Effect):
         """Return (n,) what acts for an input (n,) at times (n,), z = u at first."""
         raise NotImplementedError
 
-    def slope(self, error: Expr, size: Expr) -> Expr:
-        """Return z' for u - z."""
+    def slope(self, error: Expr, size: Expr, first: float) -> Expr:
+        """Return z' for u - z; the size starts at ``first``."""
         raise NotImplementedError
 
-    def acting(self, z: Expr, u: Expr, size: Expr) -> Expr:
+    def acting(self, z: Expr, slope: Expr) -> Expr:
         """Return what acts on the vehicle."""
         return z
 
@@ -277,13 +348,12 @@ class _Follower(Effect):
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
         (name,) = self.shape_names
-        first = self.shapes[len(self.shapes) // 2][name]
+        first = float(extension.start.get(name, self.shapes[len(self.shapes) // 2][name]))
         size = extension.parameter(name, first, **self.declared(model))
         u = Expr.symbol(self.place.name)
         unit = model.units.get(self.place.name, "")
-        z = extension.state(self._state, unit, lambda z: self.slope(u - z, size), u)
-        # The state settles a little late; where it will settle acts at once.
-        extension.replace_input(self.place.name, self.acting(z, u, size))
+        z = extension.state(self._state, unit, lambda z: self.slope(u - z, size, first), u)
+        extension.replace_input(self.place.name, self.acting(z, self.slope(u - z, size, first)))
         return extension.model()
 
 
@@ -302,15 +372,16 @@ class Backlash(_Follower):
             z[k] = now
         return z
 
-    def slope(self, error: Expr, size: Expr) -> Expr:
+    def slope(self, error: Expr, size: Expr, first: float) -> Expr:
         # Within the play nothing creeps but for exponentially little: records are many time constants long.
-        width = _CORNER * self.scales.span(self.place.name)
+        span = self.scales.span(self.place.name)
+        width = max(min(_CORNER * span, _OF_PLAY * first), _SHARPEST * span)
         above, below = error - size, error + size
         return Expr((above * smooth_step(above, width) + below * smooth_step(-below, width)) / self._tau)
 
-    def acting(self, z: Expr, u: Expr, size: Expr) -> Expr:
+    def acting(self, z: Expr, slope: Expr) -> Expr:
         # The state settles a little late; where it will settle acts at once.
-        return Expr(z + self._tau * self.slope(u - z, size))
+        return Expr(z + self._tau * slope)
 
     def declared(self, model: Model) -> dict[str, Any]:
         return {"bounds": (0.0, self.scales.span(self.place.name)), "unit": model.units.get(self.place.name, "")}
@@ -336,7 +407,7 @@ class RateLimit(_Follower):
             z[k] = now
         return z
 
-    def slope(self, error: Expr, size: Expr) -> Expr:
+    def slope(self, error: Expr, size: Expr, first: float) -> Expr:
         return Expr(size * tanh(error / (size * self._tau)))
 
     def declared(self, model: Model) -> dict[str, Any]:

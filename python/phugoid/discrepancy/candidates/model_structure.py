@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from ..._core import Expr
@@ -12,6 +13,9 @@ __all__ = ["ANGLES", "ANGULAR_RATES", "ModelStructure", "Variable"]
 
 ANGLES = ("rad", "deg", "°")
 """Units of angles."""
+
+# Functions of angles of attitudes; and those that jump, or are put for a jump.
+_SINES, _JUMPS = ("sin", "cos", "tan"), ("sign", "tanh", "atan")
 
 ANGULAR_RATES = ("rad/s", "deg/s", "°/s", "1/s")
 """Units of angular rates."""
@@ -89,16 +93,29 @@ class ModelStructure:
         symbols = {*self.expression(place).symbols}
         return [Variable(n, n, "quantity") for n in self._defined if n in symbols]
 
+    def is_store(self, variable: Variable) -> bool:
+        """Tell whether a variable may be what a store holds, as a level or a pressure: a state that is no angle, no
+        rate and no position, which is a speed's integral."""
+        unit = self.model.units.get(variable.symbol, "")
+        moves = variable.rate or unit.endswith("/s") or variable.symbol in self._exact
+        return variable.kind == "state" and not moves and unit not in ANGLES
+
+    def is_position(self, variable: Variable) -> bool:
+        """Tell whether a variable is the integral of a speed that is a state, and nothing else."""
+        e = self.dynamics.get(variable.symbol) if variable.kind == "state" else None
+        return e is not None and any(e == Expr.symbol(v.symbol) for v in self.variables if v.kind == "state")
+
     @property
     def acting(self) -> list[str]:
-        """Names of the free parameters that act on states, alone or through quantities: a record of its own may have
-        others of them."""
+        """Names of the free parameters that act on states, alone or through quantities, or multiply what varies in an
+        output, as a resistance does: a record of its own may have others of them."""
         by_name = {**self.quantities}
         inside: dict[str, set[str]] = {}
         for name, e in by_name.items():
             inside[name] = {*e.symbols}.union(*(inside[s] for s in e.symbols if s in inside))
         seen = {s for e in self.dynamics.values() for s in e.symbols}
         seen = seen.union(*(inside[s] for s in seen if s in inside))
+        seen = seen.union(*({n for n in self._parameters if self._multiplies(n, e)} for e in self.outputs.values()))
         declared = self.model.declared_parameters
         return [
             n for n in self.model.parameter_names if n in seen and not (declared[n].fixed or declared[n].per_experiment)
@@ -120,7 +137,16 @@ class ModelStructure:
     def turns_freely(self, name: str) -> bool:
         """Tell whether a state is an angle of which sines or cosines are taken, as of an attitude or of a pendulum."""
         groups = (self.quantities, self.dynamics, self.outputs)
-        return any(_in_sine(e, name) for group in groups for e in group.values() if name in e.symbols)
+        return any(_is_within(e, name, _SINES) for group in groups for e in group.values() if name in e.symbols)
+
+    def has_friction(self, place: Place, name: str) -> bool:
+        """Tell whether a jump with the sign of a rate stands at a place already, sharp or rounded."""
+        return _is_within(self.expression(place).simplify(), name, _JUMPS)
+
+    def _multiplies(self, parameter: str, e: Expr) -> bool:
+        """Tell whether a parameter multiplies something that varies in an output."""
+        slope = Expr(e.diff(parameter)) if parameter in e.symbols else Expr(0.0)
+        return any(n in slope.symbols for n in (*self.model.state_names, *self.model.declared_inputs))
 
     def _varies(self, quantity: str) -> bool:
         names = {*self.model.state_names, *self.model.declared_inputs, "time"}
@@ -165,8 +191,8 @@ class ModelStructure:
         return f"y:{place.name}" if clash else place.name
 
 
-def _in_sine(e: Expr, name: str) -> bool:
-    """Tell whether a symbol stands within a trigonometric function."""
+def _is_within(e: Expr, name: str, functions: Collection[str]) -> bool:
+    """Tell whether a symbol stands within one of some functions."""
     function, arguments = e.operation
     inside = [a for a in arguments if name in a.symbols]
-    return bool(inside) and (function in ("sin", "cos", "tan") or any(_in_sine(a, name) for a in inside))
+    return bool(inside) and (function in functions or any(_is_within(a, name, functions) for a in inside))

@@ -149,6 +149,18 @@ class Scales:
             return True
         return min(self.high[name], -self.low[name]) > _CROSSES * (self.high[name] - self.low[name])
 
+    def reaches_zero(self, name: str) -> bool:
+        """Tell whether zero is no further from the values of a variable than these vary: a power of flows, levels and
+        speeds is one of the variable itself, and no constant and linear part make up for the distance to a trim."""
+        if name not in self.low:
+            return True
+        low, high = self.low[name], self.high[name]
+        return max(low, -high) <= high - low
+
+    def is_positive(self, name: str) -> bool:
+        """Tell whether a variable is above zero but for little, as far as is known."""
+        return name not in self.low or (self.low[name] + self.high[name] > 0.0 and not self.crosses(name))
+
 
 def levels_of(values: _Array) -> int:
     """Return the number of levels of what switches between a few, as a relay does; 0 for what takes other values more
@@ -168,6 +180,8 @@ _SAME, _OFTEN, _PASSING = 1e-3, 0.05, 0.1
 # Transport delays of actuators, air data and telemetry; slower ones would have been noticed.
 _DELAY = 0.3
 _FREQUENCIES = 200
+# Part of a record that a delay may last where that is longer: transport along pipes, wind from a mast to a rotor.
+_SLOW = 0.02
 # Times of a motion that is simulated, at most.
 _FINEST = 200_000
 
@@ -179,9 +193,9 @@ def _longest_delay(duration: float, interval: float) -> float:
 
 
 def longest_delay(points: Sequence[Points]) -> float:
-    """Return the longest physical delay, s."""
+    """Return the longest physical delay, s: in long records of slow systems, longer than is looked for."""
     scales = Scales.of(points)
-    return _longest_delay(scales.duration, scales.interval)
+    return max(_longest_delay(scales.duration, scales.interval), _SLOW * scales.duration)
 
 
 def longest_lag(points: Sequence[Points]) -> float:

@@ -5,18 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..._core import Expr
-from ...functions import Table, cos, sin, smooth_abs, smooth_sign
+from ...functions import Table, cos, sin, smooth_abs, smooth_sign, sqrt
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
 from .candidate import Effect, ExtensionBuilder, largest_coefficient, place_range
 from .scales import Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lagged, longest_lag, of
 
-__all__ = ["FORMS", "LaggedVariable", "ParameterDrift", "Periodic", "Rate", "Term", "tabulated", "where"]
+__all__ = ["FORMS", "LaggedVariable", "ParameterDrift", "Periodic", "Rate", "Ripple", "Term", "tabulated", "where"]
 
 _Array = NDArray[np.float64]
 
@@ -24,6 +25,8 @@ _Array = NDArray[np.float64]
 # out 0.5 to 1 % too large, with 0.02 in its place 4 %; with 0.002 Newton's method takes three times the steps where a
 # servo sticks for a third of the time.
 _KINK, _JUMP = 0.003, 0.005
+# Periods over the range of a position, at most; and the range of an angle, in rad, from which on it may have some.
+_RIPPLES, _TURNS = 30, 1.5
 # Nodes beyond those of a table, after which it is the straight line that it is to go on with.
 _BEYOND = 4
 
@@ -70,6 +73,14 @@ FORMS: Mapping[str, Form] = {
     ),
     "absolute": Form(
         lambda x, span: smooth_abs(x, _KINK * span), "|{0}|", "abs_{0}", "has a part that goes with the size of {0}"
+    ),
+    # Flow through an orifice, by the head or pressure itself, not about a trim. Its slope is bounded at zero.
+    "root": Form(
+        lambda x, span: x / sqrt(smooth_abs(x, _KINK * span)),
+        "sqrt({0})",
+        "sqrt_{0}",
+        "has a part that goes with the square root of {0} (flow through an orifice)",
+        centred=False,
     ),
     # Friction turns with the motion itself, not about a trim.
     "sign": Form(
@@ -131,6 +142,9 @@ class Term(Effect):
         return Expr(form.make(*factors))
 
     def worthwhile(self) -> bool:
+        if self.form == "root":
+            (x,) = self.variables
+            return super().worthwhile() and self.scales.is_positive(x) and self.scales.reaches_zero(x)
         return super().worthwhile() and (self.form != "sign" or self.scales.crosses(self.variables[0]))
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
@@ -141,7 +155,7 @@ class Term(Effect):
         c = extension.parameter(self.coefficients[0], unit=self.unit)
         e = self.expression
         term = c if e.constant == 1.0 else c * e
-        extension.put(self.place, extension.at(self.place) + term)
+        extension.add(self.place, term)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
@@ -191,7 +205,7 @@ class Rate(Effect):
         extension = ExtensionBuilder(model, self, start)
         rate = extension.at(Place("equation", self.variables[0]))
         c = extension.parameter(self.coefficients[0])
-        extension.put(self.place, extension.at(self.place) + c * rate)
+        extension.add(self.place, c * rate)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
@@ -224,7 +238,7 @@ class LaggedVariable(Effect):
         tau = extension.parameter(tau_name, self.shapes[len(self.shapes) // 2][tau_name], **options)
         u = Expr.symbol(variable)
         lag = extension.state(f"{variable}_lag", model.units.get(variable, ""), lambda z: (u - z) / tau, u)
-        extension.put(self.place, extension.at(self.place) + c * lag)
+        extension.add(self.place, c * lag)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
@@ -259,7 +273,7 @@ class Periodic(Effect):
         bounds = (0.5 * np.pi / self.scales.duration, 0.7 * np.pi / self.scales.interval)
         w = extension.parameter(name, self.shapes[0][name], bounds=bounds, unit="rad/s")
         angle = w * (Expr.symbol("time") - self._middle())
-        extension.put(self.place, extension.at(self.place) + a * sin(angle) + b * cos(angle))
+        extension.add(self.place, a * sin(angle) + b * cos(angle))
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
@@ -269,6 +283,50 @@ class Periodic(Effect):
         lowest, highest = 6.0 * np.pi / scales.duration, 0.5 * np.pi / scales.interval
         a, b = self.coefficients
         return {a: (-largest, largest), b: (-largest, largest), self.shape_names[0]: (lowest, highest)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Ripple(Effect):
+    """a sin(k (x - x0)) + b cos(k (x - x0)) of a position x: cogging and torque ripple of motors, teeth of gears, the
+    pitch of a screw. About the middle x0 of its range phase and wave number are almost independent of each other.
+
+    angle  whether the position is an angle, of which less than a good part of a turn shows none of this.
+    """
+
+    angle: bool = False
+
+    def grid(self) -> Iterable[float]:
+        # Two to a line width, so that no line falls between.
+        periods = np.arange(2.0, 2.0 * _RIPPLES + 1.0) / 2.0
+        return np.asarray(2.0 * np.pi * periods / self.scales.span(self.variables[0]))
+
+    def _angle(self, wave_number: Any, x: Any) -> Any:
+        return wave_number * (x - self.scales.centre(self.variables[0]))
+
+    def worthwhile(self) -> bool:
+        (x,) = self.variables
+        return super().worthwhile() and (not self.angle or self.scales.span(x) > _TURNS)
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        x = of(points.values, self.variables[0], points, "state")
+        angle = self._angle(shape[self.shape_names[0]], x)
+        return np.stack([np.sin(angle), np.cos(angle)])
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        a, b = (extension.parameter(name) for name in self.coefficients)
+        (name,) = self.shape_names
+        values = [shape[name] for shape in self.shapes]
+        k = extension.parameter(name, values[0], bounds=(0.5 * min(values), 1.2 * max(values)))
+        angle = Expr(self._angle(k, Expr.symbol(self.variables[0])))
+        extension.add(self.place, a * sin(angle) + b * cos(angle))
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        largest = place_range(self.place, points)
+        a, b = self.coefficients
+        waves = [shape[self.shape_names[0]] for shape in self.shapes]
+        return {a: (-largest, largest), b: (-largest, largest), self.shape_names[0]: (min(waves), max(waves))}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

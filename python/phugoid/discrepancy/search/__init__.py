@@ -28,8 +28,9 @@ __all__ = [
 class SearchSettings:
     """Settings of all stages, and ``most`` findings: what is left then is for another diagnosis, of the extended
     model. The search ends after ``minor`` steps one after the other that explain next to nothing. Where the screen
-    proposes nothing that is confirmed, though this part of the residuals' power, ``error``, is predictable, constants
-    and linear terms are tried all."""
+    proposes nothing that is confirmed, though the part ``error`` of the residuals' power is predictable, constants and
+    linear terms are tried all, and where the part ``doubt`` is, twice as many as the screen proposes. Where no more
+    than ``structure`` is predictable, nothing is unexplained."""
 
     screen: ScreenSettings = field(default_factory=ScreenSettings)
     refitting: RefittingSettings = field(default_factory=RefittingSettings)
@@ -38,6 +39,8 @@ class SearchSettings:
     most: int = 4
     minor: int = 2
     error: float = 0.5
+    doubt: float = 0.3
+    structure: float = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +127,8 @@ class Search:
                 if following is None and not current.candidates and is_structured(current, self.settings.error):
                     # What a candidate does to first order says little of what a fit with it does.
                     following, _ = self.confirmation.accepted(current, self.refitting.tries(current, simple=True))
+                if following is None and not current.candidates and is_structured(current, self.settings.doubt):
+                    following, _ = self.confirmation.accepted(current, self.refitting.tries(current, times=2))
                 if following is None or following.names in seen:
                     break
                 seen.add(following.names)
@@ -132,6 +137,8 @@ class Search:
                 if minor == self.settings.minor:  # what comes next would be less
                     break
             current = self._pruned(current)
+            if not is_structured(current, self.settings.structure):
+                unexplained = None  # what is left passes for noise
             unexplained = unexplained or self.confirmation.ringing(current)
             left = self.cache.ringing(current)
             if left and not (unexplained and unexplained.ringing):

@@ -47,9 +47,10 @@ class Refitting:
     def __init__(self, cache: RefitCache, screen: Screen, assessment: Assessment, settings: RefittingSettings) -> None:
         self._cache, self._screen, self._assessment, self.settings = cache, screen, assessment, settings
 
-    def tries(self, at: Refit, simple: bool = False) -> list[Refit]:
-        """Return refits with one more candidate, of those that a screen proposes or of the simple ones."""
-        chosen = self._screen.simple(at) if simple else self._screen.shortlist(at)
+    def tries(self, at: Refit, simple: bool = False, times: int = 1) -> list[Refit]:
+        """Return refits with one more candidate, of those that a screen proposes, ``times`` as many as usual, or of the
+        simple ones."""
+        chosen = self._screen.simple(at) if simple else self._screen.shortlist(at, times)
         return [t for t in self._cache.refits([[*at.candidates, c] for c in chosen], at.fit) if t is not None]
 
     def settled(self, at: Refit, rejected: Collection[str] = ()) -> Refit:

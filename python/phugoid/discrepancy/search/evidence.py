@@ -15,6 +15,7 @@ from .free_run import Explained, Misfitting, Simulated
 from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, predicted_blocks, predicted_from_blocks
 from .refit_cache import RefitCache
 from .ringing import is_near, wandering
+from .screen import RICH, complexity
 
 __all__ = ["Assessment", "AssessmentSettings", "Evidence", "chi_square_quantile", "is_physical", "is_structured"]
 
@@ -35,6 +36,8 @@ class AssessmentSettings:
                  threshold.
     half         part of a mean square that is left where a candidate explains the better part of a misfit.
     minor        part of the misfit's power: what explains less in free simulation is a minor finding.
+    error        part of the residuals' power that their past predicts, from which on they are error of the model.
+    most         part of such a misfit that free simulation of held-out data must be freed of.
     """
 
     false_alarm: float = 0.01
@@ -45,6 +48,8 @@ class AssessmentSettings:
     clear: float = 1.5
     half: float = 0.5
     minor: float = 0.05
+    error: float = 0.8
+    most: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -92,6 +97,7 @@ class Assessment:
         self._tries = max(cache.tries, 1)
         # By the refits themselves: two fits of an unknown function may have the same name.
         self._held: dict[tuple[Refit, Refit], HeldOut] = {}
+        self._in_error: dict[tuple[Refit, Refit], float] = {}
 
     def weigh(self, base: Refit, more: Refit, candidate: Candidate) -> Evidence:
         """Return the evidence for what ``more`` has and ``base`` has not: a candidate, with others that came in its
@@ -101,7 +107,7 @@ class Assessment:
         if gain <= threshold:
             return Evidence(gain, threshold, clear)
         held = self.held_out(base, more)
-        predicts = self.predicts(held)
+        predicts = self.predicts(held) or self._gain_in_error(base, more) == gain
         rings = predicts and any(self._rings_too(more, c) for c in more.beside(base.candidates))
         wanders = predicts and any(self.wanders(base, more, c) for c in more.beside(base.candidates))
         return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings, wanders)
@@ -133,8 +139,33 @@ class Assessment:
         than that noise has them; and with noise of all channels together, where that is the better model. One gust
         moves all channels, and is no evidence for each of them.
         """
-        inflation = max((more.inflation(c) for c in more.beside(base.candidates)), default=1.0)
-        return 2.0 * min((more.own.merit - base.own.merit) / inflation, more.merit - base.merit)
+        new = more.beside(base.candidates)
+        inflation = max((more.inflation(c) for c in new), default=1.0)
+        whitened = 2.0 * min((more.own.merit - base.own.merit) / inflation, more.merit - base.merit)
+        # What has several unknowns or a state of its own follows much in residuals that are no noise.
+        plain = all(c.transferable and complexity(c) < RICH for c in new)
+        if whitened > self.threshold() or not new or not plain:
+            return whitened
+        return max(whitened, self._gain_in_error(base, more))
+
+    def _gain_in_error(self, base: Refit, more: Refit) -> float:
+        """Twice the gain in log-likelihood where the residuals are error of the model and hardly noise, and where free
+        simulation of held-out data is freed of most of it; negative else.
+
+        What the past of such residuals predicts is no property of a sensor. They are taken for as many independent ones
+        as determine a mean equally well, so that the likelihood is that of the simulation's errors themselves.
+        """
+        key = base, more
+        if key not in self._in_error:
+            s = self.settings
+            self._in_error[key] = gain = _gain_of_mean_squares(base, more, s.error) - 2.0 * len(
+                more.beside(base.candidates)
+            )
+            if gain > self.threshold():
+                explained = self.explained(base, more)
+                if explained is None or explained.interval[0] < s.most:
+                    self._in_error[key] = -np.inf
+        return self._in_error[key]
 
     def held_out(self, base: Refit, more: Refit) -> HeldOut:
         """Gain on held-out data; none where the model cannot be fitted there."""
@@ -283,6 +314,22 @@ def chi_square_quantile(freedom: int, probability: float) -> float:
     from scipy.special import chdtri  # not at import: it takes its time
 
     return float(chdtri(freedom, probability))
+
+
+def _gain_of_mean_squares(base: Refit, more: Refit, error: float) -> float:
+    """Twice the gain in log-likelihood of residuals as so many independent ones as determine a mean equally well; none
+    where no output's past predicts the part ``error`` of their power."""
+    filter = Whitening.of(base.linear.residuals, base.linear.structure)
+    total, errors = 0.0, False
+    for line, others, channel in zip(base.linear.rows, more.linear.rows, filter.channels, strict=True):
+        before = base.linear.residuals[line[0].start : line[-1].stop]
+        after = more.linear.residuals[others[0].start : others[-1].stop]
+        power, left = float(np.mean(before**2)), float(np.mean(after**2))
+        errors = errors or channel.power < (1.0 - error) * power
+        rho = np.abs(channel.autocorrelation(max(rows.stop - rows.start for rows in line)))
+        if power > 0.0 and left > 0.0:
+            total += before.size / float(2.0 * rho.sum() - rho[0]) * float(np.log(power / left))
+    return total if errors else -np.inf
 
 
 def is_structured(at: Refit, least: float) -> bool:

@@ -266,16 +266,18 @@ class DiagnosisResult:
                        output of which 5 % of the residuals' power, or more, is more than white noise.
         "surrogate", "minor"   findings of that status only, and residuals without more structure than that.
         "nothing"      residuals that are not significantly coloured, as far as these data tell.
-        "interrupted"  none of these by the time the search was ended, which is no statement about the model.
+        "interrupted"  nothing was found by the time the search was ended, which is no statement about the model.
         """
         statuses = {f.status for f in self.findings}
         if "named" in statuses:
             return "named"
+        if self.interrupted and not statuses:
+            return "interrupted"
         if "unexplained" in statuses or self.structured_outputs:
             return "unexplained"
         if statuses:
             return "surrogate" if "surrogate" in statuses else "minor"
-        return "interrupted" if self.interrupted else "nothing"
+        return "nothing"
 
     @cached_property
     def remaining(self) -> Misfit:

@@ -28,12 +28,13 @@ from ...fit_result import FitResult, dataset
 from ...frozen_model import freeze_model, freeze_noise
 from ...modelling.model import Model
 from ...parameters import Parameter
-from ...sensitivities import Place
+from ...sensitivities import Place, shown_by_outputs
 from ...solvers import Deadline, check_time
 from ...solvers.newton import Newton
 from ..candidates.candidate import unused
 from .disturbance import Disturbance, histories_at
 from .evidence import is_structured
+from .free_run import Misfitting
 from .refit import Refit, fitted_to, on_other_data, values_of
 from .refit_cache import RefitCache
 
@@ -97,7 +98,9 @@ def through_shaping_filter(model: Model, place: Place, tau: float) -> tuple[Mode
     state, time = unused(f"{place.name}_gust", taken), unused(f"tau_{place.name}_gust", taken)
     equations, x, w = model._right_hand_sides(), Expr.symbol(place.name), Expr.symbol(state)
     if place.kind == "equation":
-        equations["equation", place.name] = Expr(equations["equation", place.name] + w)
+        shown = shown_by_outputs(equations, model.parameter_names).get(place.name, {})
+        for key, multiple in {("equation", place.name): 1.0, **{("output", n): k for n, k in shown.items()}}.items():
+            equations[key] = Expr(equations[key] + multiple * w)
     else:
         of_forces = any(kind == "quantity" and place.name in e.symbols for (kind, _), e in equations.items())
         for key, e in list(equations.items()):
@@ -181,6 +184,8 @@ def _estimated(
 # Parts of the squares of a time history that a span holds, of which the first that leaves nothing is the event; and the
 # part of all time that it may take.
 _PARTS, _LONGEST = (0.7, 0.85, 0.95), 0.15
+# Part of the misfit that the records without the span may have: an event is most of what is wrong with them.
+_LEFT = 0.5
 # Samples of a record before or after the span that are worth an estimation of first states, and iterations of it.
 _SAMPLES, _ITERATIONS = 30, 60
 # Seconds that a fit by the filter-error method may take.
@@ -204,11 +209,18 @@ def single_event(
         if without is None:
             continue
         known = True
-        if is_disturbed(without, of, structure, margin):
+        if is_disturbed(without, of, structure, margin) or _misfit(without, at) > _LEFT * _misfit(at, at):
             continue
         if not cache.validation or not _in_validation(cache, without, of, structure, margin):
             return event, True
     return None, known
+
+
+def _misfit(of: Refit, at: Refit) -> float:
+    """Return the mean squares of residuals that are not noise, in units of the noise that they had at a refit, summed
+    over the outputs."""
+    mine, noise = Misfitting.of(of.linear), Misfitting.of(at.linear)
+    return float(np.sum(mine.powers * mine.parts / np.maximum(noise.powers * (1.0 - noise.parts), 1e-300)))
 
 
 def is_disturbed(at: Refit, of: Disturbance, structure: float, margin: float) -> bool:

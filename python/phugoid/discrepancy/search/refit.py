@@ -132,7 +132,7 @@ def refit(
         if model.delays:
             model = model._changed(delays=replace(model.delays, settled=_SETTLED, passes=_PASSES))
         from_fit = started_from(near or base, model.parameter_names)
-        patient = patient or not any(c.shape_names for c in candidates)
+        patient = patient or any(c.jumps for c in candidates) or not any(c.shape_names for c in candidates)
         iterations = _FROM_MEASURED if measured else _PATIENT if patient else _ITERATIONS
         fit = estimate(
             model,
@@ -336,7 +336,7 @@ def on_other_data(
     mesh = mesh_for(fit, data)
     starts: list[FitResult | dict[str, float]] = [{n: float(np.mean(v)) for n, v in known.items() if v}]
     if near is not None:  # its path may be out of reach of this model: then the measured one
-        starts.insert(0, started_from(near.fit, ()))
+        starts.insert(0, _with_paths(started_from(near.fit, ()), refit.candidates, near.points, values))
     for start in starts:
         solver = Newton(time_limit=max(_ELSEWHERE, _TIMES * fit.time))
         found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)

@@ -16,7 +16,7 @@ from ...frozen_model import freed_by_default
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.linearised import Linearised
 from ...solvers import check_time
-from ..candidates.candidate import Candidate, with_other_centres
+from ..candidates.candidate import Candidate, with_variants
 from .refit import Refit, on_other_data, refit
 from .ringing import Ringing, light_modes, ringing_of
 from .scan import Scan
@@ -61,7 +61,7 @@ class RefitCache:
         self._starts: dict[str, Mapping[str, float]] = {}
         self._modes = light_modes(self.base.fit)
         self._ringing: dict[frozenset[str], Ringing | None] = {}
-        self.candidates = with_other_centres(self.candidates, self.base.linear.points)
+        self.candidates = with_variants(self.candidates, self.base.linear.points)
         # Candidates to refit whatever a scan says of them -> where that starts.
         self.proposed: Mapping[str, Mapping[str, float]] = {}
 

@@ -25,6 +25,7 @@ from .free_run import LEAST, Explained, Misfitting, Simulated
 from .other_laws import formula, terms_of, unknown_function
 from .process_noise import FilterErrorRefit, filtered, filtered_elsewhere, single_event
 from .refit import Refit, fitted_to
+from .ringing import wandering
 
 __all__ = ["Remainder", "RemainderSettings", "remainder_of"]
 
@@ -259,6 +260,8 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
             return Remainder(event, option.at, gain, held_out)
         if d.kind == "event" and noise is not None and sure:
             d = noise
+    if d.kind == "noise" and gain < wandering(option.at, option.at.linear.model.output_names) + s.alike:
+        return None  # sensors that wander are as likely: behind an integration the two are alike
     if d.kind == "noise" and other is not None:
         held_out = _held_out(search, option, d, other, s)
         if held_out <= 0.0:

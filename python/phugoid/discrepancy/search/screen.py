@@ -31,7 +31,7 @@ __all__ = [
 
 # A constant before a linear term before any other, and those with states of their own or two unknowns last.
 RICH = 3
-_ORDER = {"bias": 0, "linear": 1, "scale": 1, "stribeck": RICH, "hysteresis": RICH, "mode": RICH}
+_ORDER = {"bias": 0, "linear": 1, "scale": 1, "stribeck": RICH, "hysteresis": RICH, "mode": RICH, "ripple": RICH}
 _OTHER = 2
 # Twice the difference in log-likelihood, of as many samples as coloured residuals are worth, below which two refits are
 # equally good: chance exceeds it once in a hundred times with two parameters that differ.
@@ -136,8 +136,9 @@ class Screen:
     def __init__(self, cache: RefitCache, threshold: Callable[[Candidate], float], settings: ScreenSettings) -> None:
         self._cache, self._threshold, self.settings = cache, threshold, settings
 
-    def shortlist(self, at: Refit) -> list[Candidate]:
-        """Candidates that are worth a refit with those of ``at``, and those that the measurements suggest."""
+    def shortlist(self, at: Refit, times: int = 1) -> list[Candidate]:
+        """Candidates that are worth a refit with those of ``at``, and those that the measurements suggest; ``times`` as
+        many as usual."""
         scan, s = self._cache.scan(at), self.settings
         if not scan.effects:
             return []
@@ -149,7 +150,7 @@ class Screen:
         )
         names: dict[str, Candidate] = {}
         for which, count in (("white", s.white), ("base", s.base), ("clean", s.clean)):
-            for c in self._best(scan, statistics[which], count, ~hopeless):
+            for c in self._best(scan, statistics[which], times * count, ~hopeless):
                 names[c.name] = c
         power = statistics["white"].values / max(at.linear.n_rows, 1)
         for c in self._best(scan, statistics["white"], s.explains, power > s.share):

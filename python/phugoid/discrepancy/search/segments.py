@@ -30,8 +30,10 @@ from ...errors import PhugoidError
 from ...estimation import estimate
 from ...fit_result import ENDED_WELL, FitResult, dataset
 from ...modelling.model import Model
+from ...records import Record
 from ...residual_noise import resolution_of
 from ...residual_noise.whitening import Whitening
+from ...simulation import simulate
 from ...solvers import HINTS, check_time
 from ...solvers.newton import Newton
 from .evidence import is_structured
@@ -56,6 +58,9 @@ _ERROR = 0.5
 # Part of the RMS of every output that is left over segments, where it is the drift that made the rest. A stable
 # system, which forgets its first states, keeps more.
 _LEFT = 0.25
+# By how much of its range a first state is moved, the part of a record after which that is forgotten, and what may be
+# left then of the largest change of an output.
+_MOVED, _SOON, _FORGOTTEN = 0.1, 0.5, 0.1
 
 
 @dataclass(frozen=True)
@@ -83,9 +88,11 @@ class Segments:
 
 def segments_of(base: Refit, validation: Sequence[Experiment]) -> Segments | None:
     """Return the records of a fit in segments, where the model is far from the records as a whole and much nearer to
-    segments of them; None else, and where first states or parameters belong to a whole record."""
+    segments of them; None else, where its first states are soon forgotten, so that there is no drift, and where first
+    states or parameters belong to a whole record."""
     fit = base.fit
-    found, length = fitted_to_segments(base, _COUNT) if is_structured(base, _ERROR) else (None, 0)
+    drifts = is_structured(base, _ERROR) and not _forgets_first_states(fit)
+    found, length = fitted_to_segments(base, _COUNT) if drifts else (None, 0)
     if found is None:
         return None
     for name in fit.model.output_names:
@@ -93,6 +100,28 @@ def segments_of(base: Refit, validation: Sequence[Experiment]) -> Segments | Non
         if not np.nanmean(after**2) < _LEFT**2 * np.nanmean(before**2):
             return None
     return Segments.of(found, length, validation)
+
+
+def _forgets_first_states(fit: FitResult) -> bool:
+    """Tell whether other first states change the simulated outputs for a part of every record only."""
+    return all(_forgets(fit, record, name) for record in fit.records for name in fit.model.state_names)
+
+
+def _forgets(fit: FitResult, record: Record, state: str) -> bool:
+    """Tell whether the outputs of a record soon come back to what they were when one state starts elsewhere."""
+    experiment = next(e for e in dataset(fit) if e.name == record.name)
+    first = {n: float(x[0]) for n, x in record.states.items()}
+    moved = first | {state: first[state] + _MOVED * (float(np.ptp(record.states[state])) or 1.0)}
+    try:
+        plain, other = (simulate(fit.model, fit, experiment, initial=x) for x in (first, moved))
+    except PhugoidError:  # it ceases to exist
+        return False
+    t = (experiment.t - experiment.t[0]) / (experiment.t[-1] - experiment.t[0])
+    for name in fit.model.output_names:
+        away = np.abs(other.outputs[name] - plain.outputs[name])
+        if away[t >= _SOON].max() > _FORGOTTEN * away.max():
+            return False
+    return True
 
 
 def short_segments(base: Refit) -> Refit | None:

@@ -103,11 +103,14 @@ class StandInSettings:
     """Set what terms must explain beside residuals that are error of the model.
 
     most        part of the misfit that all named terms explain together beyond doubt, else something else is larger.
+    sure        part of it that one term explains beyond doubt, beside which a likelier description of the rest is no
+                better answer.
     persistent  autocorrelation of an output's residuals over a lag in which the output itself hardly moves, from which
                 on they are a motion rather than noise of a sensor (`persistence`).
     """
 
     most: float = 0.5
+    sure: float = 0.8
     persistent: float = 0.94
 
 
@@ -131,7 +134,8 @@ def without_stand_ins(
     lost = {
         f.candidate.name
         for f in named
-        if f.candidate is not None and ((doubtful and not _of_its_own(f, s.most)) or f.gain < gain)
+        if f.candidate is not None
+        and ((doubtful and not _of_its_own(f, s.most)) or (f.gain < gain and not _is_sure(f, s.sure)))
     }
     if not lost:
         return result, remainder
@@ -139,6 +143,10 @@ def without_stand_ins(
     if remainder is not None and remainder.is_noise and not lost.isdisjoint(remainder.at.names):
         remainder = None
     return replace(result, final=kept or search.cache.base, surrogates=result.surrogates | lost), remainder
+
+
+def _is_sure(found: Found, sure: float) -> bool:
+    return found.explained is not None and found.explained.interval[0] >= sure
 
 
 def _of_its_own(found: Found, most: float) -> bool:

@@ -1,0 +1,167 @@
+"""Laboratory rigs whose models lack what such rigs have: orifices, gauges with a curved scale, motors with cogging.
+
+The records are integrated here, in steps much shorter than the samples, with laws of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from phugoid.sensitivities.trajectory import shown_by_outputs
+
+import phugoid as ph
+
+_Array = np.ndarray
+
+
+def steps(rng: np.random.Generator, t: _Array, low: float, high: float, each: float) -> _Array:
+    """Levels that are held for a while, each."""
+    levels = rng.uniform(low, high, int(t[-1] / each) + 2)
+    return levels[(t / each).astype(int)]
+
+
+def integrated(f: Callable[[_Array, float], _Array], x: _Array, t: _Array, u: _Array, finer: int = 4) -> _Array:
+    """States at the samples, by Runge and Kutta's method, inputs held."""
+    h, found = (t[1] - t[0]) / finer, [x]
+    for now in u[:-1]:
+        for _ in range(finer):
+            a = f(x, now)
+            b = f(x + h / 2 * a, now)
+            c = f(x + h / 2 * b, now)
+            x = x + h / 6 * (a + 2 * b + 2 * c + f(x + h * c, now))
+        found.append(x)
+    return np.array(found)
+
+
+def tank(seed: int, name: str, gauge: float = 0.0) -> ph.Experiment:
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 1500.0, 2.5)
+    u = steps(rng, t, 0.1, 1.0, 110.0)
+    (h,) = integrated(lambda x, u: 0.03 * u - 0.0125 * np.sqrt(np.maximum(x, 0.0)), np.array([1.0]), t, u).T
+    read = h + gauge * h**2 + 0.01 * rng.standard_normal(t.size)
+    return ph.Experiment(t, {"u": u}, {"h": read}, name=name, interpolation="hold")
+
+
+def tank_model(outlet: Callable[[ph.Expr], ph.Expr]) -> ph.Model:
+    m = ph.Model("tank")
+    (h,) = m.states(h="m")
+    (u,) = m.inputs(u="1")
+    k, c = m.parameters(k=0.02, c=0.01)
+    m.dynamics(h=k * u - c * outlet(h))
+    m.outputs(h=h)
+    return m
+
+
+def named(d: ph.Diagnosis) -> list[ph.results.Finding]:
+    return [f for f in d.findings if f.status == "named"]
+
+
+def test_flow_through_an_orifice_is_named() -> None:
+    d = ph.diagnose(ph.estimate(tank_model(lambda h: h), tank(1, "one")), validation=tank(2, "other"))
+    (found,) = named(d)
+    assert found.cause == "h':sqrt(h)", d.summary()
+    extended = d.extend()
+    assert extended.fit.parameters[next(iter(found.parameters))].value == pytest.approx(-0.0125, rel=0.02)
+    assert extended.fit.parameters["c"].value == pytest.approx(0.0, abs=2e-4)
+    assert extended.gain.held_out_rms_after["h"] < 0.011
+
+
+def test_a_gauge_that_is_not_straight_is_named() -> None:
+    level = tank_model(lambda h: ph.sqrt(ph.smooth_max(h, 0.001, 0.001)))
+    d = ph.diagnose(ph.estimate(level, tank(3, "one", 0.05)), validation=tank(4, "other", 0.05))
+    (found,) = named(d)
+    assert "h:h^2" in (found.cause, *found.aliases), d.summary()
+    nothing = ph.diagnose(ph.estimate(level, tank(3, "one")), validation=tank(4, "other"))
+    assert nothing.verdict == "nothing", nothing.summary()
+
+
+def axis(seed: int, name: str, cogging: float) -> ph.Experiment:
+    """A linear axis whose current follows a plan, by an encoder: the motor's poles are 12 mm apart."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 3.0, 0.004)
+    u = np.convolve(steps(rng, t, -1.0, 1.0, 0.15), np.full(10, 0.1), "same")
+
+    def f(x: _Array, u: float) -> _Array:
+        return np.array([x[1], 900.0 * u - 6.0 * x[1] + cogging * np.sin(2.0 * np.pi * x[0] / 12.0)])
+
+    x = integrated(f, np.zeros(2), t, u)[:, 0]
+    return ph.Experiment(t, {"u": u}, {"x": np.round(x / 0.01) * 0.01}, name=name, interpolation="hold")
+
+
+def axis_model() -> ph.Model:
+    m = ph.Model("axis")
+    x, v = m.states(x="mm", v="mm/s")
+    (u,) = m.inputs(u="A")
+    k, b = m.parameters(k=500.0, b=2.0)
+    m.dynamics(x=v, v=k * u - b * v)
+    m.outputs(x=x)
+    return m
+
+
+def test_cogging_of_a_motor_is_named_with_its_pitch() -> None:
+    d = ph.diagnose(ph.estimate(axis_model(), axis(5, "one", 150.0)), validation=axis(6, "other", 150.0))
+    (found,) = named(d)
+    assert found.cause == "v':periodic_x", d.summary()
+    wave_number = next(value for n, (value, _) in found.parameters.items() if n.startswith("wave_number"))
+    assert 2.0 * np.pi / wave_number == pytest.approx(12.0, rel=0.01)
+
+
+def shaker_model() -> ph.Model:
+    """Its accelerometer is written out, as who reads the sensors' equations from left to right does."""
+    m = ph.Model("shaker")
+    x, v = m.states(x="m", v="m/s")
+    (force,) = m.inputs(force="N")
+    k, c, b = m.parameters(k=150.0, c=3.0, b=0.04)
+    m.dynamics(x=v, v=b * force - c * v - k * x)
+    m.outputs(x=x, a=(-k * x - c * v + b * force, "m/s²"))
+    return m
+
+
+def shaker(seed: int, name: str) -> ph.Experiment:
+    """A mass on a spring that hardens."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 8.0, 0.01)
+    force = 60.0 * np.convolve(steps(rng, t, -1.0, 1.0, 0.25), np.full(20, 0.05), "same")
+
+    def rate(x: _Array, u: float) -> _Array:
+        return np.array([x[1], 0.05 * u - 4.0 * x[1] - 200.0 * x[0] - 1.2e5 * x[0] ** 3])
+
+    path = integrated(rate, np.zeros(2), t, force)
+    a = np.array([rate(p, u)[1] for p, u in zip(path, force, strict=True)])
+    outputs = {"x": path[:, 0] + 2e-4 * rng.standard_normal(t.size), "a": a + 0.1 * rng.standard_normal(t.size)}
+    return ph.Experiment(t, {"force": force}, outputs, name=name, interpolation="hold")
+
+
+def test_a_force_that_is_missing_is_missing_in_the_accelerometer_too() -> None:
+    m = shaker_model()
+    assert shown_by_outputs(m._right_hand_sides(), m.parameter_names) == {"v": {"a": pytest.approx(1.0)}}
+    d = ph.diagnose(ph.estimate(m, shaker(7, "one")), validation=shaker(8, "other"))
+    (found,) = named(d)
+    assert found.cause == "v':x^3", d.summary()
+    assert found.coefficient == pytest.approx(-1.2e5, rel=0.03)
+    after = d.extend().gain.held_out_rms_after
+    assert after["x"] < 2.2e-4 and after["a"] < 0.11
+
+
+def drive(seed: int, name: str) -> ph.Experiment:
+    """A motor whose driver limits the current."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 8.0, 0.01)
+    u = steps(rng, t, -8.0, 8.0, 0.5)
+
+    def rate(w: _Array, u: float) -> _Array:
+        return 60.0 * np.clip(u - 0.1 * w, -5.0, 5.0)
+
+    (w,) = integrated(rate, np.zeros(1), t, u).T
+    return ph.Experiment(t, {"u": u}, {"w": w + 0.3 * rng.standard_normal(t.size)}, name=name, interpolation="hold")
+
+
+def test_a_limited_torque_is_named() -> None:
+    m = ph.Model("drive")
+    (w,) = m.states(w="rad/s")
+    (u,) = m.inputs(u="V")
+    a, b = m.parameters(a=3.0, b=30.0)
+    m.dynamics(w=b * u - a * w)
+    m.outputs(w=w)
+    d = ph.diagnose(ph.estimate(m, drive(9, "one")), validation=drive(10, "other"))
+    (found,) = named(d)
+    assert found.cause == "w':saturation", d.summary()
+    assert found.coefficient == pytest.approx(300.0, rel=0.02)

@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from phugoid.sensitivities.trajectory import shown_by_outputs
 
 import phugoid as ph
+from phugoid.sensitivities import shown_by_outputs
 
 _Array = np.ndarray
 

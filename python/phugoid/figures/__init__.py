@@ -82,7 +82,7 @@ WIDTH = 7.2
 
 
 @contextmanager
-def styled(more: Mapping[str, Any] | None = None) -> Iterator[Any]:
+def styled(more: Mapping[Any, Any] | None = None) -> Iterator[Any]:
     """Yield `matplotlib.pyplot`, which is imported here, with the common style in force, and ``more``."""
     import matplotlib.pyplot as plt
 

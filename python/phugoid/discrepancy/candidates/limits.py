@@ -296,7 +296,7 @@ class EndStop(_StateEffect):
 _SETTLES = 1.5
 # Corners are rounded over this part of the range of the command, and of a play that is small beside it, but over the
 # last part of that range at least.
-_CORNER, _OF_PLAY, _SHARPEST = 0.003, 0.1, 1e-4
+_ROUNDED, _OF_PLAY, _SHARPEST = 0.003, 0.1, 1e-4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -375,7 +375,7 @@ class Backlash(_Follower):
     def slope(self, error: Expr, size: Expr, first: float) -> Expr:
         # Within the play nothing creeps but for exponentially little: records are many time constants long.
         span = self.scales.span(self.place.name)
-        width = max(min(_CORNER * span, _OF_PLAY * first), _SHARPEST * span)
+        width = max(min(_ROUNDED * span, _OF_PLAY * first), _SHARPEST * span)
         above, below = error - size, error + size
         return Expr((above * smooth_step(above, width) + below * smooth_step(-below, width)) / self._tau)
 

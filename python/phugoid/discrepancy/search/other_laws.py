@@ -208,7 +208,7 @@ _NODES = 64
 # several, and what is much more.
 _MORE, _SEVERAL, _MUCH = 0.01, 0.1, 0.2
 # Part of it that a candidate must explain to be its formula.
-_AS_MUCH = 0.9
+_SIMPLER = 0.9
 # Candidates that are tried in place of a function, and log-likelihood by which the function must be ahead of them.
 _FORMULAS, _AHEAD = 6, 3.0
 # Families of terms that a function of the same variable in the same place has in it.
@@ -318,7 +318,7 @@ def formula(search: Search, of: UnknownFunction) -> Refit | None:
         c, explained = r.candidates[-1], assess.explained(of.without, r)
         if r.merit - len(c.parameters) < least or not is_physical(r, c) or explained is None or of.explained is None:
             return False
-        enough = explained.part > _AS_MUCH * of.explained.part
+        enough = explained.part > _SIMPLER * of.explained.part
         return enough and assess.gain(of.without, r) > assess.needed(r, c)
 
     return max((r for r in refits if r is not None and stands(r)), key=lambda r: r.merit, default=None)

@@ -8,7 +8,7 @@ import numpy as np
 from typer.testing import CliRunner, Result
 
 import phugoid as ph
-from phugoid.cli.app import app
+from phugoid.cli import app
 
 MODEL = """\
 import phugoid as ph

@@ -6,7 +6,7 @@ import hfb320
 
 import phugoid as ph
 from phugoid import Parameter
-from phugoid.validation.frozen_model import biases, freed_by_default
+from phugoid.frozen_model import biases, freed_by_default
 
 
 def test_biases_of_the_hfb320_are_those_of_its_sensors() -> None:

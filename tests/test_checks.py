@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from phugoid import ModelError, OptionError
-from phugoid.checks import finite, part, positive, whole
+from phugoid.errors import finite, part, positive, whole
 
 
 def test_sound_numbers_come_back_as_plain_ones() -> None:

@@ -13,7 +13,7 @@ import pytest
 from cli_case import TRUTH, run
 
 import phugoid as ph
-from phugoid.solvers.solution import Progress
+from phugoid.solvers import Progress
 
 
 def test_fit_prints_what_the_library_says(here: Path) -> None:
@@ -88,7 +88,7 @@ def test_interruption_prints_the_best_point(here: Path, monkeypatch: pytest.Monk
             if line.number == 1:
                 raise KeyboardInterrupt
 
-    monkeypatch.setattr("phugoid.solvers.solution.Progress.__call__", Interrupting.__call__)
+    monkeypatch.setattr("phugoid.solvers.Progress.__call__", Interrupting.__call__)
     done = run("fit", "model.py", "run1.csv", "--save", "fit.json")
     assert done.exit_code == 130 and "interrupted" in done.stdout and ph.load("fit.json").status == "interrupted"
 

@@ -7,9 +7,9 @@ import gc
 import numpy as np
 
 import phugoid as ph
+from phugoid.discrepancy.search import Search, SearchSettings
 from phugoid.discrepancy.search.refit import Refit
 from phugoid.discrepancy.search.refit_cache import RefitCache
-from phugoid.discrepancy.search.search import Search, SearchSettings
 from phugoid.sensitivities.linearised import Linearised
 
 T = np.arange(0.0, 20.0, 0.04)

@@ -17,12 +17,11 @@ from matplotlib import pyplot as plt
 
 import phugoid as ph
 from phugoid.discrepancy.misfit.misfit import misfit
+from phugoid.discrepancy.page import diagnosis_summary, headline, outcome, report
 from phugoid.discrepancy.page.figures import explained_figure, findings_figure, gain_figure, ranking_figure
-from phugoid.discrepancy.page.page import report
-from phugoid.discrepancy.page.words import diagnosis_summary, headline, outcome
 from phugoid.discrepancy.search.finding import DiagnosisResult, Finding, Scored
 from phugoid.errors import DataError, UnknownName
-from phugoid.mathml import equation
+from phugoid.notebook import equation
 from phugoid.results import Extension, Gain
 
 NAN = math.nan

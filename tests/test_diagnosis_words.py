@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from phugoid.discrepancy.page.words import _nearest, finding_lines, headline, value_of
+from phugoid.discrepancy.page import _nearest, finding_lines, headline, value_of
 from phugoid.discrepancy.search.finding import Finding, Scored
 
 LAG = Finding(

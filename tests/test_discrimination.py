@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.discrepancy.discrimination.advice import DISCRIMINATES, advised, discrimination_advice
+from phugoid.discrepancy.discrimination import DISCRIMINATES, advised, discrimination_advice
 from phugoid.discrepancy.discrimination.candidate_manoeuvres import CandidateManoeuvres, manoeuvres_of_size
 from phugoid.discrepancy.discrimination.manoeuvre_response import BatchSimulation, ManoeuvreResponse
 from phugoid.discrepancy.search.refit import Refit, refit

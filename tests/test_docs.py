@@ -20,7 +20,7 @@ from pages import ROOT, Block, blocks, run
 from typer.testing import CliRunner
 
 import phugoid as ph
-from phugoid.cli.app import app
+from phugoid.cli import app
 
 DOCS = ROOT / "docs"
 GALLERY = sorted((DOCS / "gallery").glob("*.py"))

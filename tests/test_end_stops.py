@@ -8,7 +8,7 @@ import pytest
 from hidden import SYSTEMS
 
 import phugoid as ph
-from phugoid.discrepancy.candidates.stops import EndStop
+from phugoid.discrepancy.candidates.limits import EndStop
 from phugoid.discrepancy.search.refit import Refit, refit
 
 

@@ -14,9 +14,8 @@ from scipy.linalg import expm
 
 import phugoid as ph
 from phugoid import DataError, EvaluationError, Experiment, FilterError, Fit, Model, ModelError, OptionError, Parameter
-from phugoid.solvers import Iteration
-from phugoid.solvers.limits import Deadline
-from phugoid.transcription.filter_error import FEWEST
+from phugoid.filter_error import FEWEST
+from phugoid.solvers import Deadline, Iteration
 
 U0 = 44.57  # m/s
 TRUTH = {"Zw": -1.4, "Zq": -1.5, "Zde": -6.3, "Mw": -0.15, "Mq": -2.7, "Mde": -12.8}

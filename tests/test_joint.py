@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 import phugoid as ph
 from phugoid import _core
-from phugoid.residual_noise.series import UniformSegment
+from phugoid.residual_noise import UniformSegment
 from phugoid.residual_noise.whitening import MultivariateWhitening, RowStructure
 
 A = np.array([[0.8, 0.1, 0.0], [0.5, 0.3, 0.0], [-0.2, 0.4, 0.6]])

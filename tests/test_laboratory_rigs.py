@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.sensitivities.trajectory import shown_by_outputs
+from phugoid.sensitivities import shown_by_outputs
 
 _Array = np.ndarray
 

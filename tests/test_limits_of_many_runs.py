@@ -16,16 +16,16 @@ from linear_case import run
 from test_linear_fit import system
 
 import phugoid as ph
+from phugoid import solvers
 from phugoid.estimation import workers
 from phugoid.estimation.starts import Problem
-from phugoid.solvers import limits
 
 
 @pytest.fixture
 def pass_limit(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     """What makes the clock go past every limit."""
     now = [0.0]
-    monkeypatch.setattr(limits, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(solvers, "time", SimpleNamespace(monotonic=lambda: now[0]))
     return lambda: now.__setitem__(0, 1e9)
 
 
@@ -150,18 +150,18 @@ def test_process_noise(pass_limit: Callable[[], None]) -> None:
 def test_validation_and_simulation(fit: ph.Fit) -> None:
     m, e = square()
     assert fit.validate(e, time_limit=0).status == "time limit"
-    with limits.Deadline(0).in_force(), pytest.raises(ph.EvaluationError, match="time limit"):
+    with solvers.Deadline(0).in_force(), pytest.raises(ph.EvaluationError, match="time limit"):
         ph.simulate(m, fit, e)
 
 
 def test_inner_limits_are_no_longer_than_outer_ones(pass_limit: Callable[[], None]) -> None:
-    with limits.Deadline(10).in_force():
-        assert [limits.Deadline(seconds).left() for seconds in (20, 5, None)] == [10, 5, 10]
-        limits.check_time()
+    with solvers.Deadline(10).in_force():
+        assert [solvers.Deadline(seconds).left() for seconds in (20, 5, None)] == [10, 5, 10]
+        solvers.check_time()
         pass_limit()
-        with pytest.raises(limits.TimeUp):
-            limits.check_time()
-    limits.check_time()
+        with pytest.raises(solvers.TimeUp):
+            solvers.check_time()
+    solvers.check_time()
 
 
 @pytest.mark.parametrize("limit", [-1.0, math.nan, "1 min", True])

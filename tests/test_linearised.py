@@ -11,16 +11,15 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 import phugoid as ph
-from phugoid import _core
+from phugoid import _core, solvers
 from phugoid.discrepancy.candidates.candidate import Candidate
+from phugoid.frozen_model import freeze_model
 from phugoid.initialisation import spread
 from phugoid.residual_noise.autoregression import Autoregression
 from phugoid.residual_noise.whitening import Whitening
 from phugoid.sensitivities.linearised import Linearised
 from phugoid.sensitivities.tangents import collocated
 from phugoid.sensitivities.whitened import Whitened
-from phugoid.solvers import limits
-from phugoid.validation.frozen_model import freeze_model
 
 SIGMA = {"x": 0.01, "v": 0.02, "a": 0.03}
 NOISE = ph.Gaussian(SIGMA)
@@ -364,7 +363,7 @@ def test_answers_end_at_the_time_limit() -> None:
     place = next(p for p in linear._slopes[0] if p.kind != "output")
     signals = [np.ones((1, p.t.size)) for p in linear.points]
     assert np.isfinite(linear.answers(place, signals)).all()
-    with limits.Deadline(0.0).in_force(), pytest.raises(KeyboardInterrupt):
+    with solvers.Deadline(0.0).in_force(), pytest.raises(KeyboardInterrupt):
         linear.answers(place, signals)
     assert np.isfinite(linear.answers(place, signals)).all()
 

@@ -19,13 +19,12 @@ from records import find
 from scipy.signal import lfilter
 
 import phugoid as ph
-from phugoid.discrepancy.misfit.channel import ChannelMisfit
+from phugoid.discrepancy.misfit import ChannelMisfit
 from phugoid.discrepancy.misfit.misfit import misfit
 from phugoid.errors import DataError, UnknownName
 from phugoid.modelling.declared import rebuilt
 from phugoid.records import Record
-from phugoid.residual_noise.autoregression import burg
-from phugoid.residual_noise.spectrum import spectrum_of
+from phugoid.residual_noise.autoregression import burg, spectrum_of
 
 N, DT = 600, 0.1
 T = DT * np.arange(N)
@@ -338,7 +337,7 @@ def test_of_process_noise_innovations_are_looked_at() -> None:
 
 
 def test_bands_need_more_than_chance() -> None:
-    from phugoid.residual_noise.series import channel_series
+    from phugoid.residual_noise import channel_series
 
     said = [spectrum_of(channel_series([record(az=white(seed))], "az"), 1e-3).bands for seed in range(40)]
     assert sum(map(bool, said)) <= 1

@@ -9,7 +9,7 @@ import pytest
 import phugoid as ph
 from phugoid.cli.example import EXAMPLES
 from phugoid.cli.model_file import load_model
-from phugoid.models.ready import READY, model_text
+from phugoid.models.general import READY, model_text
 
 
 @pytest.mark.parametrize("name", READY)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import phugoid as ph
+from phugoid.discrepancy.search import Search
 from phugoid.discrepancy.search.refit import Refit
-from phugoid.discrepancy.search.search import Search
 from phugoid.sensitivities.tangents import collocated
 
 T = np.arange(0.0, 40.0, 0.08)

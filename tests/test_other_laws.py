@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import phugoid as ph
+from phugoid.discrepancy.search import Search
 from phugoid.discrepancy.search.other_laws import other_laws, words_of_laws
 from phugoid.discrepancy.search.refit import Refit
-from phugoid.discrepancy.search.search import Search
 from phugoid.sensitivities.tangents import collocated
 
 GAIN, STEP, COUNT, FRICTION = 0.5, 0.005, 1e-4, {1: 0.55, -1: 0.3}

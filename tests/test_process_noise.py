@@ -15,8 +15,8 @@ from phugoid.discrepancy.search.disturbance import histories_at
 from phugoid.discrepancy.search.process_noise import filtered, filtered_elsewhere, through_shaping_filter
 from phugoid.discrepancy.search.refit import Refit
 from phugoid.discrepancy.search.remainder import RemainderSettings, _goes_with_motion
+from phugoid.sensitivities import Place
 from phugoid.sensitivities.tangents import collocated
-from phugoid.sensitivities.trajectory import Place
 
 LASTING, SIZE = 0.6, 0.5
 

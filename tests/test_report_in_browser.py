@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.discrepancy.page.page import report
+from phugoid.discrepancy.page import report
 from phugoid.discrepancy.search.finding import DiagnosisResult
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_toeplitz
 
+from phugoid.residual_noise import UniformSegment, output_segments, sampled_segment, uniform_segments
 from phugoid.residual_noise.autoregression import Autoregression, burg
-from phugoid.residual_noise.series import UniformSegment, output_segments, sampled_segment, uniform_segments
 
 
 @pytest.fixture(scope="module")

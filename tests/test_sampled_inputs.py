@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 import phugoid as ph
+from phugoid.discrepancy.search.recorded_input import sampled_inputs
 from phugoid.discrepancy.search.refit import Refit
-from phugoid.discrepancy.search.sampled_input import sampled_inputs
 from phugoid.sensitivities.tangents import collocated
 
 FINE, EACH = 0.01, 8  # s, and of how many samples one is kept

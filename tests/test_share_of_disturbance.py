@@ -8,7 +8,7 @@ import pytest
 import phugoid as ph
 from phugoid.discrepancy.search.disturbance import Disturbance, histories_at, powers_of
 from phugoid.discrepancy.search.refit import Refit
-from phugoid.sensitivities.trajectory import Place
+from phugoid.sensitivities import Place
 
 STEP, N, SIGMA = 0.05, 1000, 0.05
 

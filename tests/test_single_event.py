@@ -10,12 +10,12 @@ from short_period import T
 
 import phugoid as ph
 from phugoid.discrepancy.search.disturbance import histories_at
+from phugoid.discrepancy.search.process_noise import _parts, is_disturbed, single_event
 from phugoid.discrepancy.search.refit import Refit
 from phugoid.discrepancy.search.refit_cache import RefitCache
 from phugoid.discrepancy.search.remainder import RemainderSettings
-from phugoid.discrepancy.search.single_event import _parts, is_disturbed, single_event
+from phugoid.sensitivities import Place
 from phugoid.sensitivities.tangents import collocated
-from phugoid.sensitivities.trajectory import Place
 
 AT, LASTING = 8.0, 1.2
 PITCHING = Place("equation", "q")

@@ -15,10 +15,10 @@ from scipy.stats import multivariate_normal
 
 import phugoid as ph
 from phugoid.discrepancy.search.refit import Refit
-from phugoid.residual_noise.series import resolution_of
+from phugoid.residual_noise import resolution_of
 from phugoid.residual_noise.whitening import Whitening
+from phugoid.sensitivities import Place
 from phugoid.sensitivities.tangents import collocated
-from phugoid.sensitivities.trajectory import Place
 from phugoid.sensitivities.whitened import RandomEffects, at_knots
 
 

@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 import phugoid as ph
+from phugoid.discrepancy.search import Search, SearchResult
 from phugoid.discrepancy.search.disturbance import histories_at
-from phugoid.discrepancy.search.motion import is_motion, persistence
 from phugoid.discrepancy.search.refit import Refit
 from phugoid.discrepancy.search.remainder import Remainder
-from phugoid.discrepancy.search.search import Search, SearchResult
-from phugoid.discrepancy.search.stand_ins import StandInSettings, without_stand_ins
+from phugoid.discrepancy.search.stand_ins import StandInSettings, is_motion, persistence, without_stand_ins
 from phugoid.residual_noise.whitening import Whitening
+from phugoid.sensitivities import Place
 from phugoid.sensitivities.tangents import collocated
-from phugoid.sensitivities.trajectory import Place
 
 STEP, LASTING = 0.01, 0.5
 T = np.arange(0.0, 40.0, STEP)

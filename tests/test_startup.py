@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import phugoid as ph
-from phugoid.cli.app import COMMANDS
+from phugoid.cli import COMMANDS
 
 HEAVY = (
     "scipy", "matplotlib", "pandas", "rich", "sympy", "h5py", "pyarrow", "polars", "xarray", "pyulog", "pymavlink",
@@ -51,9 +51,9 @@ def test_a_name_brings_what_it_needs() -> None:
 def test_the_list_of_commands_needs_nothing_of_the_package() -> None:
     for option in ("--help", "--version"):
         code = f"""
-import contextlib, io, phugoid.cli.app
+import contextlib, io, phugoid.cli
 with contextlib.redirect_stdout(io.StringIO()) as shown:
-    phugoid.cli.app.app(["{option}"], standalone_mode=False)
+    phugoid.cli.app(["{option}"], standalone_mode=False)
 assert shown.getvalue()
 """
         assert own_modules_after(code) == ["phugoid", "phugoid._core", "phugoid.cli"] and loaded_after(code) == []

@@ -9,7 +9,7 @@ import pytest
 
 import phugoid as ph
 from phugoid.discrepancy.search.refit import Refit
-from phugoid.discrepancy.search.thinning import Thinned, thinned
+from phugoid.discrepancy.search.segments import Thinned, thinned
 
 STEP, LAST = 0.001, 8.0
 

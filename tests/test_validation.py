@@ -20,7 +20,7 @@ from scipy.stats import binom, chi2, kstest
 
 import phugoid as ph
 from phugoid import DataError, Gaussian, ModelError, OptionError, Parameter
-from phugoid.validation.frozen_model import biases
+from phugoid.frozen_model import biases
 
 TRUTH = {"k": 2.0, "c": 0.5, "b": 0.3}
 SIGMA = {"x": 0.05, "v": 0.1}

@@ -8,10 +8,10 @@ from hidden import make
 from hidden.situation import situation
 
 import phugoid as ph
+from phugoid.discrepancy.search import Search
 from phugoid.discrepancy.search.refit import Refit, refit
 from phugoid.discrepancy.search.remainder import _in_a_tenth
-from phugoid.discrepancy.search.search import Search
-from phugoid.discrepancy.search.wandering import wandering
+from phugoid.discrepancy.search.ringing import wandering
 from phugoid.sensitivities.tangents import collocated
 
 

@@ -12,8 +12,8 @@ from scipy.linalg import block_diag, solve_discrete_lyapunov, toeplitz
 from scipy.signal import lfilter
 from scipy.stats import chi2, multivariate_normal
 
+from phugoid.residual_noise import UniformSegment, uniform_segments
 from phugoid.residual_noise.autoregression import burg
-from phugoid.residual_noise.series import UniformSegment, uniform_segments
 from phugoid.residual_noise.whitening import RowStructure, Whitening
 
 AR = [[], [0.9], [1.6, -0.8], [0.5, 0.0, 0.3], [-0.7]]

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import phugoid as ph
-from phugoid.cli.app import app
+from phugoid.cli import app
 from phugoid.cli.model_file import load_model
-from phugoid.figures.style import BAND, MEASURED, MODEL, RESIDUAL, STYLE
+from phugoid.figures import BAND, MEASURED, MODEL, RESIDUAL, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 import phugoid as ph
-from phugoid.cli.app import app
+from phugoid.cli import app
 from phugoid.cli.model_file import load_model
 
 # As the command does: phugoid example hfb320

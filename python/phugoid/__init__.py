@@ -16,68 +16,90 @@ import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from ._core import Expr, __version__
+from ._core import Expr as Expr
+from ._core import __version__ as __version__
 
-if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES
-    from . import design, functions, linear, models, results
-    from .api import estimate, load
-    from .data.experiment import Experiment
-    from .data.multirate import multirate
-    from .data.read import read
-    from .design.detection import manoeuvres
-    from .diagnosing import diagnose, improve
-    from .discrepancy.candidates.library import candidates
-    from .discrepancy.misfit.misfit import misfit
-    from .errors import DataError, EvaluationError, MissingDependency, ModelError, OptionError, PhugoidError
-    from .export import export_c, export_fmu
-    from .functions import (
-        Table,
-        acos,
-        asin,
-        atan,
-        atan2,
-        cos,
-        cosh,
-        exp,
-        expm1,
-        from_sympy,
-        hypot,
-        log,
-        log1p,
-        maximum,
-        minimum,
-        sign,
-        sin,
-        sinh,
-        smooth_abs,
-        smooth_max,
-        smooth_min,
-        smooth_sign,
-        smooth_step,
-        sqrt,
-        tan,
-        tanh,
-        where,
-    )
-    from .goodness_of_fit import Tolerance, match
-    from .many_starts.multistart import multistart
-    from .modelling.declared import State
-    from .modelling.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
-    from .modelling.model import Model
-    from .modelling.noise import Gaussian, Sigma
-    from .parameters import Parameter
-    from .petab.problem import read_petab
-    from .reconstruction import reconstruct
-    from .regression.differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
-    from .regression.equation_error import equation_error
-    from .regression.selected_terms import TermSelection
-    from .regression.term_selection import monomials
-    from .result import Fit
-    from .simulation import simulate
-    from .solvers import Ipopt, Newton
-    from .transcription.collocation import Collocation
-    from .transcription.filter_error import FilterError
-    from .transcription.shooting import MultipleShooting, SingleShooting
+if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES; a name imported `as` itself is public for type checkers
+    from . import design as design
+    from . import functions as functions
+    from . import linear as linear
+    from . import models as models
+    from . import results as results
+    from .api import estimate as estimate
+    from .api import load as load
+    from .data.experiment import Experiment as Experiment
+    from .data.multirate import multirate as multirate
+    from .data.read import read as read
+    from .design.detection import manoeuvres as manoeuvres
+    from .diagnosing import diagnose as diagnose
+    from .diagnosing import improve as improve
+    from .discrepancy.candidates.library import candidates as candidates
+    from .discrepancy.misfit.misfit import misfit as misfit
+    from .errors import DataError as DataError
+    from .errors import EvaluationError as EvaluationError
+    from .errors import MissingDependency as MissingDependency
+    from .errors import ModelError as ModelError
+    from .errors import OptionError as OptionError
+    from .errors import PhugoidError as PhugoidError
+    from .export import export_c as export_c
+    from .export.fmu import export_fmu as export_fmu
+    from .filter_error import FilterError as FilterError
+    from .functions import Table as Table
+    from .functions import acos as acos
+    from .functions import asin as asin
+    from .functions import atan as atan
+    from .functions import atan2 as atan2
+    from .functions import cos as cos
+    from .functions import cosh as cosh
+    from .functions import exp as exp
+    from .functions import expm1 as expm1
+    from .functions import from_sympy as from_sympy
+    from .functions import hypot as hypot
+    from .functions import log as log
+    from .functions import log1p as log1p
+    from .functions import maximum as maximum
+    from .functions import minimum as minimum
+    from .functions import sign as sign
+    from .functions import sin as sin
+    from .functions import sinh as sinh
+    from .functions import smooth_abs as smooth_abs
+    from .functions import smooth_max as smooth_max
+    from .functions import smooth_min as smooth_min
+    from .functions import smooth_sign as smooth_sign
+    from .functions import smooth_step as smooth_step
+    from .functions import sqrt as sqrt
+    from .functions import tan as tan
+    from .functions import tanh as tanh
+    from .functions import where as where
+    from .goodness_of_fit import Tolerance as Tolerance
+    from .goodness_of_fit import match as match
+    from .many_starts.multistart import multistart as multistart
+    from .modelling.declared import State as State
+    from .modelling.densities import Density as Density
+    from .modelling.densities import Huber as Huber
+    from .modelling.densities import Laplace as Laplace
+    from .modelling.densities import PerExperiment as PerExperiment
+    from .modelling.densities import PerOutput as PerOutput
+    from .modelling.densities import StudentT as StudentT
+    from .modelling.model import Model as Model
+    from .modelling.noise import Gaussian as Gaussian
+    from .modelling.noise import Sigma as Sigma
+    from .parameters import Parameter as Parameter
+    from .petab.problem import read_petab as read_petab
+    from .reconstruction import reconstruct as reconstruct
+    from .regression.equation_error import equation_error as equation_error
+    from .regression.least_squares import FourierSmoothing as FourierSmoothing
+    from .regression.least_squares import SavitzkyGolay as SavitzkyGolay
+    from .regression.least_squares import SmoothingSpline as SmoothingSpline
+    from .regression.selected_terms import TermSelection as TermSelection
+    from .regression.term_selection import monomials as monomials
+    from .result import Fit as Fit
+    from .simulation import simulate as simulate
+    from .solvers.ipopt import Ipopt as Ipopt
+    from .solvers.newton import Newton as Newton
+    from .transcription import Collocation as Collocation
+    from .transcription import MultipleShooting as MultipleShooting
+    from .transcription import SingleShooting as SingleShooting
 
 _NAMESPACES = ("design", "functions", "linear", "models", "results")
 # Module -> public names in it. They are imported when they are first asked for: all of the package takes half a second.
@@ -91,7 +113,9 @@ _PLACES = {
     "discrepancy.candidates.library": "candidates",
     "discrepancy.misfit.misfit": "misfit",
     "errors": "DataError EvaluationError MissingDependency ModelError OptionError PhugoidError",
-    "export": "export_c export_fmu",
+    "export": "export_c",
+    "export.fmu": "export_fmu",
+    "filter_error": "FilterError",
     "functions": "Table acos asin atan atan2 cos cosh exp expm1 from_sympy hypot log log1p maximum minimum sign sin "
     "sinh smooth_abs smooth_max smooth_min smooth_sign smooth_step sqrt tan tanh where",
     "goodness_of_fit": "Tolerance match",
@@ -103,16 +127,15 @@ _PLACES = {
     "parameters": "Parameter",
     "petab.problem": "read_petab",
     "reconstruction": "reconstruct",
-    "regression.differentiate": "FourierSmoothing SavitzkyGolay SmoothingSpline",
     "regression.equation_error": "equation_error",
+    "regression.least_squares": "FourierSmoothing SavitzkyGolay SmoothingSpline",
     "regression.selected_terms": "TermSelection",
     "regression.term_selection": "monomials",
     "result": "Fit",
     "simulation": "simulate",
-    "solvers": "Ipopt Newton",
-    "transcription.collocation": "Collocation",
-    "transcription.filter_error": "FilterError",
-    "transcription.shooting": "MultipleShooting SingleShooting",
+    "solvers.ipopt": "Ipopt",
+    "solvers.newton": "Newton",
+    "transcription": "Collocation MultipleShooting SingleShooting",
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names.split()}
 
@@ -127,6 +150,7 @@ _MOVED = {
 }
 
 if not TYPE_CHECKING:  # for type checkers, a name that is not imported above is an error
+    __all__ = sorted(["Expr", "__version__", *_NAMESPACES, *_MODULES])
 
     def __getattr__(name: str) -> Any:
         """Return a public name, imported now, or one that has moved, with a DeprecationWarning that gives its place."""
@@ -143,93 +167,6 @@ if not TYPE_CHECKING:  # for type checkers, a name that is not imported above is
         module = import_module(f".{where}", __name__)
         return getattr(module, attribute) if attribute else module
 
-
-def __dir__() -> list[str]:
-    """Return the public names, without the modules that hold them, for completion."""
-    return list(__all__)
-
-
-__all__ = [
-    "Collocation",
-    "DataError",
-    "Density",
-    "EvaluationError",
-    "Experiment",
-    "Expr",
-    "FilterError",
-    "Fit",
-    "FourierSmoothing",
-    "Gaussian",
-    "Huber",
-    "Ipopt",
-    "Laplace",
-    "MissingDependency",
-    "Model",
-    "ModelError",
-    "MultipleShooting",
-    "Newton",
-    "OptionError",
-    "Parameter",
-    "PerExperiment",
-    "PerOutput",
-    "PhugoidError",
-    "SavitzkyGolay",
-    "Sigma",
-    "SingleShooting",
-    "SmoothingSpline",
-    "State",
-    "StudentT",
-    "Table",
-    "TermSelection",
-    "Tolerance",
-    "__version__",
-    "acos",
-    "asin",
-    "atan",
-    "atan2",
-    "candidates",
-    "cos",
-    "cosh",
-    "design",
-    "diagnose",
-    "equation_error",
-    "estimate",
-    "exp",
-    "expm1",
-    "export_c",
-    "export_fmu",
-    "from_sympy",
-    "functions",
-    "hypot",
-    "improve",
-    "linear",
-    "load",
-    "log",
-    "log1p",
-    "manoeuvres",
-    "match",
-    "maximum",
-    "minimum",
-    "misfit",
-    "models",
-    "monomials",
-    "multirate",
-    "multistart",
-    "read",
-    "read_petab",
-    "reconstruct",
-    "results",
-    "sign",
-    "simulate",
-    "sin",
-    "sinh",
-    "smooth_abs",
-    "smooth_max",
-    "smooth_min",
-    "smooth_sign",
-    "smooth_step",
-    "sqrt",
-    "tan",
-    "tanh",
-    "where",
-]
+    def __dir__() -> list[str]:
+        """Return the public names, without the modules that hold them, for completion."""
+        return list(__all__)

@@ -8,10 +8,10 @@ from functools import wraps
 from inspect import signature
 from typing import Any, ParamSpec, TypeVar
 
-from .estimation.estimate import estimate as _estimate
+from .estimation import estimate as _estimate
 from .result import Fit
 from .saving import files as io
-from .saving import fit_file
+from .saving import load as read_fit
 
 __all__ = ["estimate", "load", "load_fit", "with_facade"]
 
@@ -54,4 +54,4 @@ def load(path: str | os.PathLike[str]) -> Any:
 
 def load_fit(path: str | os.PathLike[str]) -> Fit:
     """Read a fit that `Fit.save` wrote; raises as `load` does, and for the file of a diagnosis."""
-    return Fit._of(fit_file.load(path))
+    return Fit._of(read_fit(path))

@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from .discrepancy.improve import ImprovementResult
+from .discrepancy.page import diagnosis_summary, headline
+from .discrepancy.page import report as diagnosis_report
 from .discrepancy.page.figures import diagnosis_figures
-from .discrepancy.page.page import report as diagnosis_report
-from .discrepancy.page.words import diagnosis_summary, headline
 from .discrepancy.saved import save_diagnosis
 from .discrepancy.search.finding import DiagnosisResult, ExtensionResult
 from .fit_result import FitResult

@@ -1,11 +1,15 @@
-"""Exceptions of phugoid: one base class, and one subclass for each place where the fault may lie.
+"""Exceptions of phugoid: one base class, and one subclass for each place where the fault may lie; and checks of
+options, one rule and one wording for each kind.
 
-Each subclass is also the built-in exception that a reader would expect, so ``except ValueError`` works.
+Each subclass is also the built-in exception that a reader would expect, so ``except ValueError`` works. Errors about a
+number begin with ``what``, which names the function and the option: "bootstrap: n".
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from numbers import Integral, Real
 from typing import Any, NoReturn, TypeVar
 
 __all__ = [
@@ -18,11 +22,19 @@ __all__ = [
     "PhugoidError",
     "UnknownAttribute",
     "UnknownName",
+    "check_progress",
+    "check_time_limit",
     "did_you_mean",
+    "finite",
+    "is_whole",
+    "joined",
     "listing",
+    "part",
+    "positive",
     "refuse_attribute",
+    "some",
+    "whole",
 ]
-
 
 _LONGEST = 2000
 
@@ -145,3 +157,72 @@ def refuse_attribute(instance: Any, kind: type, name: str, value: Any) -> None:
         known = [n for n in dir(kind) if not n.startswith("_")]
         article = "an" if what[0] in "AEIOU" else "a"
         raise UnknownAttribute(f"{article} {what} has no attribute '{name}'.{did_you_mean(name, known)}")
+
+
+def joined(names: Sequence[str], last: str = "and") -> str:
+    """Return names as a sentence lists them.
+
+    >>> joined(["p"]), joined(["p", "q", "r"])
+    ('p', 'p, q and r')
+    """
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
+
+
+def some(names: Sequence[str], most: int = 40) -> str:
+    """Return names separated by commas, the first few only where there are many."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def is_whole(value: Any) -> bool:
+    """Return whether a value is a whole number."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def whole(what: str, value: Any, least: int) -> int:
+    """Return a whole number not below ``least``; raise OptionError for anything else."""
+    if not is_whole(value) or value < least:
+        raise OptionError(f"{what} is a whole number from {least}, not {value!r}")
+    return int(value)
+
+
+def positive(what: str, value: Any, of: str = "") -> float:
+    """Return a positive finite number; raise OptionError for anything else. ``of``: what it counts, for the message."""
+    try:
+        number = math.nan if isinstance(value, (bool, str)) else float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not 0.0 < number < math.inf:
+        raise OptionError(f"{what} is a positive number{f' of {of}' if of else ''}, not {value!r}")
+    return number
+
+
+def part(what: str, value: Any, example: str = "") -> float:
+    """Return a number between 0 and 1; raise OptionError for anything else."""
+    if not isinstance(value, Real) or not 0.0 < float(value) < 1.0:
+        such = f", such as {example}" if example else ""
+        raise OptionError(f"{what} is a number between 0 and 1{such}, not {value!r}")
+    return float(value)
+
+
+def finite(what: str, value: Any, error: type[PhugoidError]) -> float:
+    """Return a finite number; raise the error given for anything else."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise error(f"{what} is {value!r}, not a finite number")
+    return number
+
+
+def check_progress(caller: str, progress: Any) -> None:
+    """Raise OptionError, in the caller's name, for what is neither a truth value nor a function."""
+    if not isinstance(progress, bool) and not callable(progress):
+        raise OptionError(f"{caller}: progress is True, False or a function, not {progress!r}")
+
+
+def check_time_limit(caller: str, time_limit: Any) -> None:
+    """Raise OptionError, in the caller's name, unless a limit is a number of seconds from 0, or None."""
+    number = isinstance(time_limit, Real) and not isinstance(time_limit, bool)
+    if time_limit is not None and not (number and float(time_limit) >= 0):
+        raise OptionError(f"{caller}: time_limit is a number of seconds from 0, or None, not {time_limit!r}")

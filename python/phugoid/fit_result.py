@@ -15,14 +15,14 @@ import phugoid._core as _core
 from .data.experiment import Experiment
 from .data.interpolation import kinds_for
 from .errors import ByName, DataError
+from .filter_error import FilterError
 from .modelling.densities import PerExperiment
 from .modelling.model import Model
 from .modelling.noise import Noise
 from .parameters import Estimates, text_table
 from .records import Record, only
 from .solvers import Iteration, Solution
-from .transcription.filter_error import FilterError
-from .transcription.shooting import Transcription
+from .transcription import Transcription
 
 __all__ = ["ENDED_WELL", "FitResult", "Refinement", "Smoothing", "SmoothingStep", "Step", "dataset"]
 
@@ -151,17 +151,6 @@ class FitResult:
         """Return the values of the model's parameters in one experiment."""
         labels = {name: f"{name}[{experiment}]" for name in self.model.parameter_names}
         return {n: self.parameters[label if label in self.parameters else n].value for n, label in labels.items()}
-
-    def _runs(self) -> Sequence[Experiment]:
-        """Return the experiments, of a file that has none as its records are."""
-        if self.experiments:
-            return self.experiments
-        return [
-            Experiment(r.t, r.inputs, r.measured, r.name, r.interpolation)._sampled(
-                {name: (t, u, 0.0, 0) for name, (t, u) in r.input_samples.items()}, None
-            )
-            for r in self.records
-        ]
 
     def _once(self, name: str, compute: Callable[[], _T]) -> _T:
         """Return the result of ``compute``, which is stored with the fit under a name at the first call."""

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 import phugoid._core as _core
 
-from .checks import finite
 from .data.experiment import Experiment
-from .errors import DataError, ModelError
+from .errors import DataError, ModelError, finite
 from .modelling.model import Model
 from .modelling.noise import Noise, positive
-from .transcription.collocation import records_of
+from .transcription import records_of
 
 __all__ = [
     "check_names",

@@ -282,11 +282,9 @@ def estimates_table(
     return text_table([title, *_HEADS], _estimates_rows(estimates, coloured), _ALIGN)
 
 
-def estimates_html(
-    estimates: Iterable[Estimate], title: str = "parameter", coloured: Mapping[str, Estimate] | None = None
-) -> Html:
+def estimates_html(estimates: Iterable[Estimate], coloured: Mapping[str, Estimate] | None = None) -> Html:
     """Return the table of `estimates_table` as HTML, for notebooks."""
-    return table([title, *_HEADS], _estimates_rows(estimates, coloured), _ALIGN)
+    return table(["parameter", *_HEADS], _estimates_rows(estimates, coloured), _ALIGN)
 
 
 _HEADS, _ALIGN = ("estimate", "std error", "in %", "coloured", "unit", "remark"), "lrrrrll"

@@ -22,9 +22,9 @@ from .models.flight_path import flight_path
 from .notebook import Rows, overview, sparkline
 from .parameters import Estimate, plus_minus, text_table
 from .records import Record
-from .regression.differentiate import SmoothingSpline
+from .regression.least_squares import SmoothingSpline
 from .result import Fit
-from .solvers.limits import limited
+from .solvers import limited
 from .summary import corrected as with_coloured_errors
 
 if TYPE_CHECKING:

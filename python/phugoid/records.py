@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .data.experiment import Experiment
 from .data.interpolation import Interpolations, kinds_for
-from .errors import ByName, DataError
+from .errors import ByName, DataError, joined
 from .modelling.model import Model
 from .notebook import channels_table, notebook_page
 from .tabular import record_dataset, record_frame
@@ -94,12 +94,6 @@ class Record:
     def n(self) -> int:
         """Number of samples, N."""
         return int(self.t.size)
-
-    @property
-    def input_times(self) -> _Array:
-        """Times of the samples and of the inputs' own within the record, in order, s: where inputs bend or jump."""
-        own = [t[(t > self.t[0]) & (t < self.t[-1])] for t, _ in self.input_samples.values()]
-        return np.unique(np.concatenate([self.t, *own])) if own else self.t
 
     def rms(self) -> dict[str, float]:
         """Return the root mean square of each output's residuals, in its unit; NaN without samples, and where the
@@ -212,9 +206,8 @@ def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[
             group.append(name)
     found = []
     for members in (g for g in groups if len(g) > 1):
-        listed = f"{', '.join(members[:-1])} and {members[-1]}"
         found.append(
-            f"outputs {listed} hold the same measurement: their residuals are nearly proportional. "
+            f"outputs {joined(members)} hold the same measurement: their residuals are nearly proportional. "
             f"Each counts as if its noise were its own, and so standard errors are too small, by √{len(members)} where "
             f"nothing else is measured: leave {'one' if len(members) == 2 else 'all but one'} out of the outputs"
         )

@@ -5,21 +5,21 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from .discrepancy.misfit.residuals_figure import plot_residuals
-from .errors import DataError, OptionError
+from .errors import DataError, OptionError, joined
 from .figures import fit as plot
 from .figures.estimates import plot_convergence, plot_parameters
 from .fit_result import FitResult
 from .goodness_of_fit import Match, match
-from .mathml import equation
+from .notebook import equation
 from .pages import PageTable, Picture, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
 from .summary import corrected
 from .uncertainty.correlation import correlation, plot_correlation
-from .validation.result import Validation
+from .validation import Validation
 from .writing import PAGES, check_folder, check_suffix, write
 
 __all__ = ["remarks", "report"]
@@ -109,9 +109,8 @@ def _signed(value: float) -> str:
 
 
 def _listed(texts: Sequence[str]) -> str:
-    shown: Iterable[str] = texts if len(texts) <= _MOST else [*texts[: _MOST - 1], f"{len(texts) - _MOST + 1} more"]
-    *others, last = shown
-    return f"{', '.join(others)} and {last}" if others else last
+    shown = texts if len(texts) <= _MOST else [*texts[: _MOST - 1], f"{len(texts) - _MOST + 1} more"]
+    return joined(shown)
 
 
 _FIGURES = 6  # records shown; of more, the first

@@ -28,16 +28,16 @@ if TYPE_CHECKING:
     from .discrepancy.misfit.misfit import Misfit
     from .estimation.starts import Outcome
     from .goodness_of_fit import Tolerance
-    from .integration import IntegrationError
     from .parameters import Estimates
     from .records import Record
+    from .simulation import IntegrationError
     from .solvers import Iteration
     from .uncertainty.bands import Bands
     from .uncertainty.bootstrap import Bootstrap
     from .uncertainty.coloured import Coloured
     from .uncertainty.correlation import Correlation
     from .uncertainty.profile import Profiles
-    from .validation.result import Validation
+    from .validation import Validation
 
 __all__ = ["Fit"]
 
@@ -240,7 +240,7 @@ class Fit(FitResult):
 
         Raises OptionError for a fit that was not transcribed by collocation.
         """
-        from .integration import integration_error
+        from .simulation import integration_error
 
         return integration_error(self)
 
@@ -320,7 +320,7 @@ class Fit(FitResult):
         model's channels or with fewer samples than unknowns. An experiment that the fit was made on, and a fit that has
         not converged, are among the ``warnings`` of the result.
         """
-        from .validation.validate import validate
+        from .validation import validate
 
         return validate(
             self,
@@ -360,7 +360,7 @@ class Fit(FitResult):
     def export_fmu(self, path: str | os.PathLike[str], **options: Any) -> Path:
         """Write the model with the estimates as a functional mock-up unit (FMI 2.0); return its path. Options are those
         of `phugoid.export_fmu`."""
-        from .export import export_fmu
+        from .export.fmu import export_fmu
 
         return export_fmu(self, path, **options)
 
@@ -383,7 +383,7 @@ class Fit(FitResult):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the fit with its data to a versioned file, which `load` reads: HDF5 for ``.h5`` and ``.hdf5``, where
         arrays are datasets with units (extra ``hdf5``); JSON otherwise. Raises DataError where that is impossible."""
-        from .saving.fit_file import save
+        from .saving import save
 
         save(self, path)
 

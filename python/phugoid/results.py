@@ -10,26 +10,26 @@ from .discrepancy.search.finding import Finding, Gain, Scored
 from .estimation.starts import Outcome
 from .fit_result import FitResult, Refinement, Smoothing
 from .goodness_of_fit import Match
-from .integration import IntegrationError
 from .linear.response import FrequencyResponse
 from .linear.state_space import Mode, Modes
 from .linear.trim import Trim
+from .many_starts import Multistart
 from .many_starts.optima import Optimum
-from .many_starts.result import Multistart
 from .parameters import Estimate
 from .petab.problem import PetabProblem
 from .reconstruction import Reconstruction, VanePlaces
 from .records import Record
 from .regression.equation_error import EquationError
 from .regression.selected_terms import SelectedTerms, SelectionStep
-from .sensitivities.trajectory import Place, Points
+from .sensitivities import Place, Points
+from .simulation import IntegrationError
 from .solvers import Iteration
 from .uncertainty.bands import Bands
 from .uncertainty.bootstrap import Bootstrap
 from .uncertainty.coloured import Coloured
 from .uncertainty.correlation import Correlation, WeakDirection
 from .uncertainty.profile import Profile, Profiles
-from .validation.result import Validation
+from .validation import Validation
 
 __all__ = [
     "Bands",

@@ -10,8 +10,8 @@ from many import T, outcome, run, sine
 
 import phugoid as ph
 from phugoid import Experiment, Model
+from phugoid.many_starts import at_bounds, below_best, local_optima
 from phugoid.many_starts.optima import group
-from phugoid.many_starts.result import at_bounds, below_best, local_optima
 from phugoid.results import Multistart
 
 

@@ -21,7 +21,7 @@ from ..data.experiment import Experiment
 from ..design.steps import doublet, multistep, step, sweep, three_two_one_one
 from ..errors import OptionError, listing
 from ..modelling.model import Model
-from ..models.ready import model_text
+from ..models.general import model_text
 from ..simulation import simulate
 from ..writing import write
 from .model_file import load_model

@@ -17,8 +17,8 @@ from ..api import load_fit
 from ..errors import OptionError
 from ..fit_result import ENDED_WELL
 from ..result import Fit
-from ..solvers import Newton
-from ..validation.result import Validation
+from ..solvers.newton import Newton
+from ..validation import Validation
 from .model_file import load_source
 from .options import (
     DataArgument,

@@ -17,14 +17,14 @@ from ..api import estimate
 from ..data.experiment import Experiment
 from ..data.read import read
 from ..errors import DataError, ModelError, OptionError, listing
+from ..filter_error import FilterError
 from ..goodness_of_fit import Tolerance
 from ..modelling.model import Model
 from ..result import Fit
-from ..solvers import Ipopt, Newton
-from ..solvers.solution import Iteration, Progress
-from ..transcription.collocation import Collocation
-from ..transcription.filter_error import FilterError
-from ..transcription.shooting import Transcription
+from ..solvers import Iteration, Progress
+from ..solvers.ipopt import Ipopt
+from ..solvers.newton import Newton
+from ..transcription import Collocation, Transcription
 
 __all__ = [
     "DataArgument",

@@ -13,7 +13,7 @@ import typer
 from ..errors import EvaluationError, OptionError
 from ..many_starts.multistart import multistart
 from ..petab.problem import PetabProblem, read_petab
-from ..solvers import Newton
+from ..solvers.newton import Newton
 from .options import JsonOption
 from .results import INTERRUPTED, NOT_CONVERGED, check_targets, emit_json
 

@@ -23,7 +23,7 @@ from ..goodness_of_fit import Match, match
 from ..parameters import Estimates
 from ..result import Fit
 from ..saving.files import SUFFIXES
-from ..solvers.limits import interrupts
+from ..solvers import interrupts
 from ..summary import corrected
 from ..writing import PAGES, check_suffix, drawn, write
 

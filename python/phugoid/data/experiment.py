@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..errors import ByName, DataError, listing, refuse_attribute
 from ..notebook import bullets, channels_table, notebook_page
@@ -236,19 +236,10 @@ class Experiment(Preprocessing):
         def cut(group: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
             return {key: values[kept] for key, values in group.items()}
 
-        times = None if self._mesh_times is None else self._mesh_times[_between(self._mesh_times, self._t[kept])]
-        cut_out = Experiment(
-            self._t[kept],
-            cut(self._inputs),
-            cut(self._outputs),
-            self._name if name is None else name,
-            self._interpolation,
-            channels=cut(self._channels),
-            units=self._units,
-        )
-        left_out = self.n - cut_out.n
-        step = [f"window {cut_out.t[0]:g} to {cut_out.t[-1]:g} s"] if left_out else []
-        return cut_out._sampled(self._signals, times)._after(self, *step)
+        t = self._t[kept]
+        columns = {kind: cut(group) for kind, group in self._columns_of().items()}
+        step = f"window {t[0]:g} to {t[-1]:g} s" if t.size < self.n else ""
+        return self._made(step, columns, name, t=t)
 
     def cut(self, spans: Sequence[Any]) -> list[Experiment]:
         """Return the records of several spans, called ``name[1]``, ``name[2]``, ...; spans that overlap are one.
@@ -338,20 +329,15 @@ class Experiment(Preprocessing):
                 raise DataError(f"experiment '{self._name}': two channels would be called '{taken}'")
             return result
 
-        units = {names.get(key, key): unit for key, unit in self._units.items()}
         kinds = self._interpolation
-        other = Experiment(
-            self._t,
-            renamed(self._inputs),
-            renamed(self._outputs),
-            self._name,
-            kinds if isinstance(kinds, str) else renamed(kinds),
-            channels=renamed(self._channels),
-            units=units,
-        )
-        other._sampled({names.get(key, key): s for key, s in self._signals.items()}, self._mesh_times)
         changed = [f"{old} to {new}" for old, new in names.items() if old != new]
-        return other._after(self, *([f"renamed {', '.join(changed)}"] if changed else []))
+        return self._made(
+            f"renamed {', '.join(changed)}" if changed else "",
+            {kind: renamed(group) for kind, group in self._columns_of().items()},
+            interpolation=kinds if isinstance(kinds, str) else renamed(kinds),
+            units={names.get(key, key): unit for key, unit in self._units.items()},
+            signals={names.get(key, key): s for key, s in self._signals.items()},
+        )
 
     def with_interpolation(self, interpolation: Interpolations) -> Experiment:
         """Return the same record with inputs that behave otherwise between samples, as the constructor takes it; those
@@ -360,29 +346,12 @@ class Experiment(Preprocessing):
         if not isinstance(interpolation, str):
             names = [*self._inputs, *self._channels]
             kinds = {**{name: self.interpolation_of(name) for name in names}, **interpolation}
-        other = Experiment(
-            self._t,
-            self._inputs,
-            self._outputs,
-            self._name,
-            kinds,
-            channels=self._channels,
-            units=self._units,
-        )
-        return other._sampled(self._signals, self._mesh_times)._after(self, f"interpolation: {interpolation}")
+        return self._made(f"interpolation: {interpolation}", interpolation=kinds)
 
     def with_outputs(self, outputs: Mapping[str, ArrayLike], name: str | None = None) -> Experiment:
         """Return the record with ``outputs`` (name -> (N,)) in place of the measured ones, as for simulated data."""
-        other = Experiment(
-            self._t,
-            self._inputs,
-            outputs,
-            self._name if name is None else name,
-            self._interpolation,
-            channels=self._channels,
-            units=self._units_of(self._inputs, outputs, self._channels),
-        )
-        return other._sampled(self._signals, self._mesh_times)._after(self, f"outputs replaced: {', '.join(outputs)}")
+        units = self._units_of(self._inputs, outputs, self._channels)
+        return self._made(f"outputs replaced: {', '.join(outputs)}", {"output": outputs}, name, units=units)
 
     def with_channels(
         self, channels: Mapping[str, ArrayLike], units: Mapping[str, str] | None = None, name: str | None = None
@@ -401,17 +370,18 @@ class Experiment(Preprocessing):
             return {key: channels.get(key, values) for key, values in group.items()}
 
         new = {key: values for key, values in channels.items() if key not in (*self._inputs, *self._outputs)}
-        other = Experiment(
-            self._t,
-            replaced(self._inputs),
-            replaced(self._outputs),
-            self._name if name is None else name,
-            self._interpolation,
-            channels={**self._channels, **new},
+        columns = {
+            "input": replaced(self._inputs),
+            "output": replaced(self._outputs),
+            "channel": {**self._channels, **new},
+        }
+        return self._made(
+            f"channels given: {', '.join(channels)}",
+            columns,
+            name,
             units={**self._units, **(units or {})},
+            signals={key: s for key, s in self._signals.items() if key not in channels},
         )
-        other._sampled({key: s for key, s in self._signals.items() if key not in channels}, self._mesh_times)
-        return other._after(self, f"channels given: {', '.join(channels)}")
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the channels as a table over time (s), one column each.
@@ -429,6 +399,33 @@ class Experiment(Preprocessing):
         Raises DataError where an input and an output of one name differ, MissingDependency without xarray.
         """
         return experiment_dataset(self)
+
+    def _made(
+        self,
+        step: str,
+        columns: Mapping[str, Mapping[str, ArrayLike]] | None = None,
+        name: str | None = None,
+        *,
+        interpolation: Interpolations | None = None,
+        units: Mapping[str, str] | None = None,
+        signals: Mapping[str, Signal] | None = None,
+        t: FloatArray | None = None,
+        mesh: bool = True,
+    ) -> Experiment:
+        """Return the record made of this one by a step, "" for none, with what is given in place of what it has; with
+        ``mesh``, a mesh follows the same times as in this one."""
+        groups: dict[str, Mapping[str, ArrayLike]] = {**self._columns_of(), **(columns or {})}
+        made = Experiment(
+            self._t if t is None else t,
+            groups["input"],
+            groups["output"],
+            self._name if name is None else name,
+            self._interpolation if interpolation is None else interpolation,
+            channels=groups["channel"],
+            units=self._units if units is None else units,
+        )
+        made._sampled(self._signals if signals is None else signals, self._mesh_times if mesh else None)
+        return made._after(self, *filter(None, [step]))
 
     def _after(self, before: Experiment, *steps: str) -> Experiment:
         """Set the history: that of the record this one was made of, and the steps since; return this record."""
@@ -463,17 +460,13 @@ class Experiment(Preprocessing):
         t: FloatArray | None = None,
         cubic: bool = False,
     ) -> Experiment:
-        groups = (columns["input"], columns["output"])
         kind = self._interpolation
         if cubic:  # not for inputs that are held between samples, which have no finer values
             names = [*columns["input"], *columns["channel"]]
             held = {name: self.interpolation_of(name) for name in names if self._is_held(name)}
             kind = {name: held.get(name, "cubic") for name in names} if held else "cubic"
-        other = Experiment(
-            self._t if t is None else t, *groups, self._name, kind, channels=columns["channel"], units=self._units
-        )
         # At new times a mesh follows these.
-        return other._sampled(signals, self._mesh_times if t is None else None)._after(self, step)
+        return self._made(step, columns, interpolation=kind, signals=signals, t=t, mesh=t is None)
 
     def _sampled(self, signals: Mapping[str, Signal], mesh_times: FloatArray | None) -> Experiment:
         """Set the inputs that have samples of their own, and the times that a mesh follows; return this record."""
@@ -511,10 +504,6 @@ class Experiment(Preprocessing):
             raise DataError(f"{self._absent(kind, name)} The file has it, but it {self._left_out[name]}.")
         there = [*group, *self._channels]
         raise DataError(f"{self._absent(kind, name)}{listing(name, there)} Use .rename({{...}}) where names differ.")
-
-
-def _between(times: FloatArray, t: FloatArray) -> NDArray[np.bool_]:
-    return np.asarray((times >= t[0]) & (times <= t[-1]))
 
 
 def as_experiments(data: Any, caller: str) -> list[Experiment]:

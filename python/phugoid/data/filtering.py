@@ -11,8 +11,7 @@ from typing import Literal, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import whole
-from ..errors import DataError, OptionError, listing
+from ..errors import DataError, OptionError, listing, whole
 
 __all__ = [
     "EVEN",

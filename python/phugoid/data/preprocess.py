@@ -14,8 +14,7 @@ from typing import Literal, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import positive, whole
-from ..errors import DataError, OptionError
+from ..errors import DataError, OptionError, positive, whole
 from .filtering import (
     Channelled,
     Signal,

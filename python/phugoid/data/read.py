@@ -9,7 +9,7 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
-from ..errors import DataError, did_you_mean
+from ..errors import DataError, did_you_mean, some
 from .checked import FloatArray, checked_gaps, real
 from .experiment import Experiment
 from .interpolation import Interpolations
@@ -193,11 +193,6 @@ def _seconds(values: Any) -> Any:
 
 def _listing(name: str, available: Any) -> str:
     return f"{did_you_mean(name, available)} There are: {some(list(available)) or 'none'}."
-
-
-def some(names: Sequence[str], most: int = 40) -> str:
-    """Return names separated by commas, the first few only where there are many."""
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 @overload

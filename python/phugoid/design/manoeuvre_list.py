@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, overload
 
 from ..data.experiment import Experiment
 from ..errors import ByName, DataError, OptionError
-from ..figures.style import INPUT, SERIES, STYLE, WIDTH, labelled, plain
+from ..figures import INPUT, SERIES, WIDTH, labelled, plain, styled
 from ..notebook import notebook_page, table
 from ..parameters import text_table
 from ..tabular import package
@@ -147,11 +147,8 @@ class Manoeuvres(Sequence[Manoeuvre]):
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
         """Plot the inputs over time with the spans of their manoeuvres; return the figure and its axes by input."""
-        import matplotlib.pyplot as plt
-        from matplotlib import rc_context
-
         names = list(dict.fromkeys([*self._record.inputs, *(m.input for m in self)]))
-        with rc_context(STYLE):
+        with styled() as plt:
             figure, grid = plt.subplots(
                 len(names), 1, sharex=True, squeeze=False, figsize=(WIDTH, 1.0 + 1.1 * len(names)), layout="constrained"
             )

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import whole
 from ..data.experiment import Experiment
-from ..errors import EvaluationError, OptionError
+from ..errors import EvaluationError, OptionError, whole
 from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..solvers.limits import check_time, limited
+from ..solvers import check_time, limited
 from .design_evaluation import plan
 from .plan import Criterion, Plan, criterion_of
 from .steps import number

@@ -1,24 +1,27 @@
-"""Find what a fitted model is missing."""
+"""Find what a fitted model is missing, after checks of what is given."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ..data.experiment import Experiment
-from ..errors import DataError
+from ..data.experiment import Experiment, as_experiments
+from ..errors import DataError, ModelError, OptionError, did_you_mean, some
+from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult
 from ..sensitivities.tangents import collocated
-from ..solvers.limits import Deadline, check_time, interrupts, limited, one_blas_thread
-from .arguments import candidates_given, check_fit, check_size, freed, validation_given
+from ..solvers import Deadline, check_time, interrupts, limited, one_blas_thread
+from ..validation import shared
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
-from .discrimination.advice import advice_of
+from .candidates.library import candidates as library
+from .discrimination import advice_of
+from .search import Search, SearchResult
 from .search.confirmation import Found
 from .search.data_suspects import (
     with_changes,
@@ -40,18 +43,126 @@ from .search.findings import (
 )
 from .search.other_laws import other_laws, words_of_laws
 from .search.record_change import RecordChange
-from .search.recorded_input import RecordedInput
+from .search.recorded_input import RecordedInput, SampledInputs
 from .search.refit import Refit
 from .search.remainder import Remainder, RemainderSettings
-from .search.restart import Restart, restarted
-from .search.sampled_input import SampledInputs
 from .search.scan import NEARLY, Scan
-from .search.search import Search, SearchResult
-from .search.segments import segments_of
+from .search.segments import Restart, restarted, segments_of, thinned
 from .search.stand_ins import without_stand_ins
-from .search.thinning import thinned
 
-__all__ = ["diagnose"]
+__all__ = [
+    "candidates_given",
+    "check_fit",
+    "check_size",
+    "diagnose",
+    "freed",
+    "validation_given",
+]
+
+
+# Samples that every output is to have, and rows for each unknown: fewer do not tell noise from misfit.
+_FEWEST, _EACH = 40, 5
+# Of an output's spread: a residual below it is rounding.
+_EXACT = 1e-9
+
+
+def check_fit(fit: Any) -> None:
+    """Raise OptionError for what is no fit by output error, DataError for a fit without residuals."""
+    if not isinstance(fit, FitResult):
+        raise OptionError(f"diagnose: the first argument is a fit, as estimate gives it, not {type(fit).__name__}")
+    if isinstance(fit.transcription, FilterError):
+        raise OptionError(
+            "diagnose: a fit with process noise explains every misfit by it; estimate without FilterError and "
+            "diagnose that"
+        )
+    for name in fit.model.output_names:
+        measured = np.concatenate([r.measured[name] for r in fit.records])
+        residual = np.concatenate([r.residuals[name] for r in fit.records])
+        there = np.isfinite(measured) & np.isfinite(residual)
+        spread = float(np.std(measured[there])) if there.any() else 0.0
+        if float(np.sqrt(np.mean(residual[there] ** 2))) <= _EXACT * max(spread, 1e-300):
+            raise DataError(
+                f"diagnose: the residuals of output '{name}' are all zero: the data are those of the model itself, and "
+                "there is no noise that a misfit could be measured against"
+            )
+
+
+def check_size(base: Refit) -> None:
+    """Raise DataError for records too short to tell noise from misfit."""
+    linear = base.linear
+    for name, count in zip(linear.model.output_names, linear.counts, strict=True):
+        if count < _FEWEST:
+            raise DataError(
+                f"diagnose: output '{name}' has {count} samples, too few to tell noise from misfit ({_FEWEST})"
+            )
+    unknowns = linear.n_unknowns
+    if linear.n_rows < _EACH * unknowns:
+        raise DataError(
+            f"diagnose: the record is too short: {linear.n_rows} measurements for {unknowns} unknowns leave nothing to "
+            f"judge a misfit by (at least {_EACH} for each)"
+        )
+
+
+def validation_given(fit: FitResult, given: Any) -> Sequence[Experiment]:
+    """Return the validation records; raise DataError for one without the channels, or that the fit was made on."""
+    if given is None:
+        return ()
+    others = as_experiments(given, "diagnose: validation")
+    for e in others:
+        e.check_for(
+            fit.model.input_names, fit.model.output_names, fit.model.output_names, conditions=fit.model.condition_names
+        )
+        if any(shared(fit.model, record, e) == e.n == record.n for record in fit.records):
+            raise DataError(
+                f"diagnose: the validation record '{e.name}' is one that the fit was made on: give another, or none"
+            )
+    return others
+
+
+def freed(fit: FitResult, others: Sequence[Experiment], given: Any) -> tuple[str, ...] | None:
+    """Return the parameters to re-estimate in validation records, None where not given; raise OptionError or ModelError
+    for what is no list of parameters."""
+    if given is None:
+        return None
+    if not others:
+        raise OptionError("diagnose: biases are estimated again in validation records: give validation too")
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise OptionError(f"diagnose: biases is a list of names, such as ['b_q'], or () for none, not {given!r}")
+    names = fit.model.parameter_names
+    for name in (found := tuple(dict.fromkeys(map(str, given)))):
+        if name not in names:
+            base = name.partition("[")[0]
+            hint = f" Say '{base}', for all experiments." if base in names else did_you_mean(name, names)
+            raise ModelError(f"diagnose: biases: '{name}' is no parameter of the model.{hint}")
+    return found
+
+
+def candidates_given(fit: FitResult, given: Any, base: Refit) -> list[Candidate]:
+    """Return the candidates as given, or those of the library; raise OptionError for what cannot be one."""
+    points = base.linear.points
+    if given is None or isinstance(given, Mapping):
+        return list(library(fit.model, points=points, terms=given))
+    if isinstance(given, Candidates):
+        given = given.on(points)
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise OptionError(f"diagnose: candidates holds Candidates, or terms by place, not {given!r}")
+    listed = list(given)
+    places = base.linear.places
+    for c in listed:
+        if not isinstance(c, Candidate):
+            raise OptionError(
+                f"diagnose: candidates holds {c!r}, which is no Candidate: make them by ph.candidates(model)"
+            )
+        if c.place not in places:
+            raise OptionError(
+                f"diagnose: candidate '{c.name}' acts on {c.place.kind} '{c.place.name}', which the model has not"
+            )
+    names = [c.name for c in listed]
+    twice = [n for n in dict.fromkeys(names) if names.count(n) > 1]
+    if twice:
+        raise OptionError(f"diagnose: candidate '{twice[0]}' is there twice")
+    return listed
+
 
 _OF_THESE_RECORDS = (
     "Of the records of the fit alone: {}. With that as it was fitted, the simulation of the validation records gets no "
@@ -326,9 +437,7 @@ def _notes(
         return (f"{_EARLY[ended]} before the {len(listed)} candidates were scanned: only the misfit is told.",)
     notes = [f"{len(listed)} candidates, {len(scan.effects)} with their shapes, were scanned."]
     if scan.lost:
-        more = len(scan.lost) - _LOST_NAMED
-        names = ", ".join(scan.lost[:_LOST_NAMED]) + (f" and {more} more" if more > 0 else "")
-        notes.append(f"Cannot be told from the parameters already there: {names}.")
+        notes.append(f"Cannot be told from the parameters already there: {some(scan.lost, _LOST_NAMED)}.")
     if others:
         what = "sensor biases" if free is None else ", ".join(free) or "nothing else"
         notes.append(f"Gains were measured on {', '.join(e.name for e in others)}, with first states and {what} free.")

@@ -13,7 +13,7 @@ from ..errors import OptionError
 from ..fit_result import FitResult
 from ..notebook import Rows, overview
 from ..parameters import text_table
-from ..solvers.limits import limited
+from ..solvers import limited
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
 from .diagnose import diagnose

@@ -8,8 +8,8 @@ from dataclasses import fields
 from typing import Any, TypeVar
 
 from ..errors import DataError
+from ..saving import damage, fit_from, fit_payload, fit_unit
 from ..saving import files as io
-from ..saving.fit_file import damage, fit_from, fit_payload, fit_unit
 from .search.finding import DiagnosisResult, ExtensionResult, Finding, Gain, Scored
 
 __all__ = ["load_diagnosis", "save_diagnosis"]

@@ -23,11 +23,10 @@ from ..modelling.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates
 from ..records import Record, record_of, repeated_outputs
 from ..regression.equation_error import EquationError
-from ..solvers import Ipopt, Iteration, Newton, Solution
-from ..solvers.newton import solution_of
-from ..solvers.solution import Progress
-from ..transcription.collocation import Collocation, records_of
-from ..transcription.shooting import Transcription, step_spec
+from ..solvers import Iteration, Progress, Solution
+from ..solvers.ipopt import Ipopt
+from ..solvers.newton import Newton, solution_of
+from ..transcription import Collocation, Transcription, records_of, step_spec
 
 __all__ = ["Earlier", "estimated", "make_fit"]
 

@@ -15,17 +15,14 @@ import phugoid._core as _core
 
 from ..data.experiment import Experiment
 from ..errors import EvaluationError, OptionError, PhugoidError
+from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..initialisation import check_names, parameter_start, spread, state_start
 from ..modelling.model import Model
 from ..modelling.noise import Gaussian, Noise
-from ..solvers import Iteration
-from ..solvers.limits import Deadline, TimeUp
+from ..solvers import Deadline, Iteration, Progress, TimeUp
 from ..solvers.newton import Minimum, bounded_step, minimise
-from ..solvers.solution import Progress
-from ..transcription.filter_error import FilterError
-from .filter_result import make_filter_fit
-from .filter_variables import Objective, Separated, intensity_start, split
+from .filter_variables import Objective, Separated, intensity_start, make_filter_fit, split
 
 __all__ = ["better", "doubtful", "filter_error"]
 

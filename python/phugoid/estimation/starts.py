@@ -12,14 +12,14 @@ import numpy as np
 
 from ..data.experiment import Experiment
 from ..errors import DataError, MissingDependency, ModelError, OptionError, PhugoidError, did_you_mean
+from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..initialisation import check_names, parameter_start, spread, state_start
 from ..modelling.model import Model
 from ..modelling.noise import Noise, Sigma
-from ..solvers import Newton
-from ..transcription.filter_error import FilterError
-from ..transcription.shooting import Transcription
-from .estimate import estimate
+from ..solvers.newton import Newton
+from ..transcription import Transcription
+from . import estimate
 
 __all__ = ["Draw", "Given", "Outcome", "Problem", "Range", "Uniform", "given", "plain", "stream", "uniform"]
 

@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 
 from .._core import Expr, __version__
-from ..checks import positive
-from ..errors import DataError, MissingDependency
+from ..errors import DataError, MissingDependency, positive
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..writing import write
+from . import Code, Contents, contents_of, identifier, source
 from .graph import number
-from .writer import Code, Contents, contents_of, identifier, source
 
 __all__ = ["export_fmu"]
 

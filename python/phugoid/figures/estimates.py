@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..errors import DataError, OptionError, UnknownName, listing
 from ..fit_result import FitResult
 from ..parameters import Estimate, plus_minus
-from .style import GREY, MEASURED, MODEL, RESIDUAL, RULE, SERIES, STATE, STYLE, WIDTH, plain
+from . import GREY, MEASURED, MODEL, RESIDUAL, RULE, SERIES, STATE, WIDTH, plain, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,9 +51,6 @@ def plot_parameters(
     Returns the figure and the axes by ``"parameters"``. Raises UnknownName for a parameter that no fit has, DataError
     where there is none with a standard error, OptionError for labels that are not one a fit.
     """
-    from matplotlib import pyplot as plt
-    from matplotlib import rc_context
-
     called = _labels(fits, labels)
     shown, without = _chosen(fits, names)
     rows = [_row(fits, name) for name in shown]
@@ -61,7 +58,7 @@ def plot_parameters(
     # With many parameters rows are lower, as far as their names can be read; then the figure grows beyond a page.
     row = min(_ROW + _MORE * (len(fits) - 1), max(_PAGE / len(shown), _LOWEST + 0.5 * _MORE * (len(fits) - 1)))
     letters = min(7.0, 72.0 * 0.85 * row)
-    with rc_context(STYLE):
+    with styled() as plt:
         height = row * len(shown) + 0.95 + (0.18 if without else 0.0)
         figure, axis = plt.subplots(figsize=(WIDTH, height), layout="constrained")
         axis.axvline(0.0, color=GREY, linewidth=0.7, zorder=0.5)
@@ -259,8 +256,6 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
     Returns the figure and the axes by ``"log-likelihood"``, ``"defect"``, ``"optimum"`` and ``"step"``. Raises
     DataError for a fit without iterations, such as one whose solver keeps no table.
     """
-    from matplotlib import pyplot as plt
-    from matplotlib import rc_context
     from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
     history = list(fit.history)
@@ -270,7 +265,7 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
     anew = [number[i] - 0.5 for i in range(1, len(history)) if history[i].number <= history[i - 1].number]
     likelihood = np.array([line.log_likelihood for line in history], dtype=float)
     names = ("log-likelihood", "defect", "optimum", "step")
-    with rc_context(STYLE):
+    with styled() as plt:
         figure, panels = plt.subplots(
             2, 2, sharex=True, figsize=(WIDTH, 2.0 * _PANEL + _HEAD + 0.45), layout="constrained"
         )

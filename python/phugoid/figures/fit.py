@@ -15,7 +15,7 @@ from ..errors import DataError, UnknownName, did_you_mean
 from ..fit_result import FitResult
 from ..goodness_of_fit import Tolerance, match, tolerances_by_output
 from ..records import Record
-from .style import (
+from . import (
     BAND,
     INPUT,
     LIMIT,
@@ -23,14 +23,15 @@ from .style import (
     MODEL,
     RESIDUAL,
     STATE,
-    STYLE,
     TOLERANCE,
     WIDTH,
     figure_of,
     headline,
     labelled,
     plain,
+    styled,
     with_gaps,
+    write_keys,
 )
 
 if TYPE_CHECKING:
@@ -255,8 +256,6 @@ def _draw(
     title: str,
     tolerances: Mapping[str, Tolerance] = MappingProxyType({}),
 ) -> tuple[Figure, dict[str, Axes]]:
-    from matplotlib import rc_context
-
     if isinstance(channels, str):
         raise DataError(f"channels='{channels}' is text: give a list, such as channels=['{channels}']")
     if channels is None:
@@ -273,7 +272,7 @@ def _draw(
         raise DataError(f"record '{record.name}': there is no channel to plot")
     if axes is not None and not axes:
         raise DataError("axes={}: give at least one axis, or None for a new figure")
-    with rc_context(STYLE):
+    with styled():
         if axes is None:
             figure, panels = _layout(record, channels)
         else:
@@ -345,21 +344,9 @@ def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:
         axis.tick_params(labelbottom=True)
         axis.set_xlabel("time, s")
     next(iter(panels.values())).margins(x=0.01)
-    height = float(figure.get_size_inches()[1])
     left = _LEFT / WIDTH
     headline(figure, left, title)
     order = [
         name for name in ("measured", "tolerance", "model", "state", "input", "residual", "±2σ") if name in handles
     ]
-    figure.legend(
-        [handles[name] for name in order],
-        order,
-        loc="upper left",
-        bbox_to_anchor=(left, 1.0 - 0.26 / height),
-        ncols=len(order),
-        frameon=False,
-        borderpad=0.0,
-        borderaxespad=0.0,
-        columnspacing=1.6,
-        markerscale=2.5,
-    )
+    write_keys(figure, left, [handles[name] for name in order], below=0.26, markerscale=2.5)

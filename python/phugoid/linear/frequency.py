@@ -8,10 +8,9 @@ from typing import Any, Literal, TypeAlias, get_args, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import positive, whole
 from ..data.experiment import Experiment
 from ..data.filtering import even_rate
-from ..errors import DataError, OptionError
+from ..errors import DataError, OptionError, positive, whole
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from .linearise import model_response

@@ -9,15 +9,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_progress, whole
 from ..data.experiment import Experiment
-from ..errors import DataError
-from ..solvers.limits import check_time, limited
-from ..solvers.solution import Iteration, Progress
+from ..errors import DataError, check_progress, whole
+from ..solvers import Iteration, Progress, check_time, limited
 from .modal_blocks import ModalBlocks, best_places
 from .modal_regression import Layout, ModalRegression, identified, path, regression, rows, samples_of
-from .modal_response import Answers
-from .sampled import Sampled, chosen_outputs, triangle
+from .sampled import Answers, Sampled, chosen_outputs, triangle
 from .state_space import StateSpace, as_state_space, modal_parts
 
 __all__ = ["fit_linear"]

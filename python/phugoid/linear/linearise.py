@@ -11,13 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 import phugoid._core as _core
 
-from ..checks import finite
-from ..errors import EvaluationError, ModelError, listing
+from ..errors import EvaluationError, ModelError, finite, listing
+from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..initialisation import spread
 from ..modelling.compiled import Jacobians
 from ..modelling.model import Model
-from ..transcription.filter_error import FilterError
 from .response import FrequencyResponse
 from .state_space import Modes, StateSpace, only, response_of, table_of
 

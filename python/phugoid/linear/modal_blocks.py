@@ -10,10 +10,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..solvers.limits import check_time
+from ..solvers import check_time
 from .modal_regression import ModalRegression, rows
-from .modal_response import Answers
-from .sampled import Sampled, triangle
+from .sampled import Answers, Sampled, triangle
 
 __all__ = ["ModalBlocks", "best_places"]
 

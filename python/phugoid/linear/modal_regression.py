@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
-from .modal_response import Answers
-from .sampled import Sampled, rows_at_once, triangle
+from .sampled import Answers, Sampled, rows_at_once, triangle
 from .state_space import StateSpace
 
 __all__ = ["Layout", "ModalRegression", "identified", "path", "regression", "rows", "samples_of"]

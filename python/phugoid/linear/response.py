@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError
-from ..figures.style import (
+from ..figures import (
     BAND,
     MEASURED,
     MODEL,
@@ -19,11 +19,12 @@ from ..figures.style import (
     PURPLE,
     RESIDUAL,
     STATE,
-    STYLE,
     WIDTH,
     figure_of,
     headline,
     plain,
+    styled,
+    write_keys,
 )
 from ..notebook import overview, sparkline
 
@@ -61,8 +62,6 @@ def plot_frequency_response(
     Returns the figure and the axes by name. Raises DataError where a model is of another input or output, or the
     coherence is asked for and not known, or nothing lies in the band.
     """
-    from matplotlib import rc_context
-
     for model in models:
         if (model.input, model.output) != (empirical.input, empirical.output):
             raise DataError(
@@ -80,7 +79,7 @@ def plot_frequency_response(
             f"'{empirical.label}' has no coherence: take method='h1', smoothing or several periods in "
             "frequency_response"
         )
-    with rc_context(STYLE):
+    with styled():
         rows = -(-(1 + len(models) + (empirical.std_error is not None)) // _COLUMNS)
         panels = _layout(panel_names, rows) if axes is None else dict(axes)
         figure = figure_of(panels[panel_names[0]])
@@ -124,22 +123,9 @@ def _layout(panel_names: list[str], rows: int) -> dict[str, Axes]:
 
 
 def _finish(figure: Figure, magnitude: Axes, title: str) -> None:
-    height = float(figure.get_size_inches()[1])
     left = _LEFT / WIDTH
     headline(figure, left, title)
-    handles, labels = magnitude.get_legend_handles_labels()
-    figure.legend(
-        handles,
-        labels,
-        loc="upper left",
-        bbox_to_anchor=(left, 1.0 - 0.27 / height),
-        ncols=_COLUMNS,
-        frameon=False,
-        borderpad=0.0,
-        borderaxespad=0.0,
-        columnspacing=1.6,
-        fontsize=8.0,
-    )
+    write_keys(figure, left, magnitude.get_legend_handles_labels()[0], _COLUMNS, fontsize=8.0)
     figure.align_ylabels()
 
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._core import Expr
-from ..checks import finite
-from ..errors import EvaluationError, ModelError, OptionError, listing
+from ..errors import EvaluationError, ModelError, OptionError, finite, listing
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..notebook import Rows, overview

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..estimation.starts import Outcome
-from ..figures.style import GREY, INPUT, MEASURED, ORANGE, PURPLE, RULE, STATE, STYLE, WIDTH, figure_of, headline
+from ..figures import GREY, INPUT, MEASURED, ORANGE, PURPLE, RULE, STATE, WIDTH, figure_of, headline, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -121,14 +121,11 @@ def plot_waterfall(
 
     Returns the figure and the axes by name: ``"gap"``, and ``"not converged"`` where there are any.
     """
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
-
     counts = Counter(o.status for o in outcomes if not o.at_optimum)
     left = _NAMES if counts else _LEFT
     strip = (len(counts) + 0.4) * _ROW if counts else 0.0
     height = _HEIGHT + strip
-    with rc_context(STYLE):
+    with styled() as plt:
         figure = plt.figure(figsize=(WIDTH, height))
         width = (WIDTH - left - _RIGHT) / WIDTH
         gap_height = _HEIGHT - _TOP - _BOTTOM - (_GAP if counts else 0.0)

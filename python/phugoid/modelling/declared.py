@@ -20,9 +20,8 @@ from typing import Any, NoReturn
 import phugoid._core as _core
 
 from .._core import Expr
-from ..errors import ModelError, listing
-from ..mathml import equation
-from ..notebook import overview
+from ..errors import ModelError, listing, some
+from ..notebook import equation, overview
 from ..parameters import Parameter
 
 __all__ = [
@@ -339,16 +338,10 @@ def kink_advice(core: _core.Model) -> str:
         return ""
     functions = " and ".join(dict.fromkeys(f"ph.{_SMOOTH[name]}" for name, _ in kinks))
     return (
-        f"the state equations have kinks or jumps: {_listed([place for _, place in kinks])}. No smooth path satisfies "
-        f"such equations at the points of a mesh: write {functions}, with a width that is small beside the motion, "
-        "and reduce it in steps, each with start=fit of the last"
+        f"the state equations have kinks or jumps: {some([place for _, place in kinks], _NAMED)}. No smooth path "
+        f"satisfies such equations at the points of a mesh: write {functions}, with a width that is small beside the "
+        "motion, and reduce it in steps, each with start=fit of the last"
     )
-
-
-def _listed(texts: list[str]) -> str:
-    """Join the first of some texts, and say how many more there are."""
-    more = f" and {len(texts) - _NAMED} more" if len(texts) > _NAMED else ""
-    return ", ".join(texts[:_NAMED]) + more
 
 
 def model_html(

@@ -73,10 +73,6 @@ class StudentT(Noise):
                 raise ModelError(f"StudentT: dof of '{name}', which is not an output.{did_you_mean(name, outputs)}")
         return super().saved(outputs)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the noise as JSON takes it."""
-        return {**super().to_dict(), "dof": self.dof, "bounds": list(self.bounds)}
-
 
 @dataclass(frozen=True)
 class Huber(Noise):
@@ -99,10 +95,6 @@ class Huber(Noise):
     def description(self) -> str:
         """The density, and the meaning of sigma."""
         return f"Huber's, k = {self.k:g}; sigma is its scale"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the noise as JSON takes it."""
-        return {**super().to_dict(), "k": self.k}
 
 
 @dataclass(frozen=True)
@@ -129,10 +121,6 @@ class Laplace(Noise):
     def description(self) -> str:
         """The density, and the meaning of sigma."""
         return f"Laplace's, smoothing {self.smoothing:g}; sigma is its scale"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the noise as JSON takes it."""
-        return {**super().to_dict(), "smoothing": self.smoothing}
 
 
 @dataclass(frozen=True, init=False)

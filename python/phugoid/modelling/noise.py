@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -131,8 +131,10 @@ class Noise:
         return _core.Noise(self.saved(outputs), list(outputs), [spread.get(name, 1.0) for name in outputs], named)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the noise as JSON takes it; `kinds.noise_from_dict` reads it."""
-        return {"kind": self.kind, "sigma": self._sigma_dict()}
+        """Return the noise as JSON takes it; `noise_from_dict` reads it."""
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "sigma"}
+        plain = {name: list(value) if isinstance(value, tuple) else value for name, value in own.items()}
+        return {"kind": self.kind, "sigma": self._sigma_dict(), **plain}
 
     def _sigma_dict(self) -> dict[str, Any]:
         def plain(s: float | Sigma | Expr) -> dict[str, Any]:

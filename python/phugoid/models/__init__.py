@@ -12,9 +12,8 @@ A parameter that is fixed by a form has ``fixed`` set in the fit; all others are
 """
 
 from .flight_path import flight_path
-from .general import state_space
+from .general import car, hfb320, quadrotor, servo, state_space, tank, uav, unstable
 from .modal import modal
-from .ready import car, hfb320, quadrotor, servo, tank, uav, unstable
 
 __all__ = [
     "car",

@@ -18,27 +18,20 @@ from ..modelling.model import Model
 from ..notebook import Html, bullets, notebook_page, table
 from ..parameters import Estimate, Estimates, estimates_html, estimates_table, text_table
 from ..records import Record
-from .differentiate import Differentiator, FourierSmoothing, SavitzkyGolay, SmoothingSpline
-from .equations import (
-    Equation,
-    EquationSides,
-    Evaluation,
-    Unknown,
-    channels,
-    equations,
-    groups,
-    parameters_in,
-    unknowns_of,
-)
-from .least_squares import Regression, regress
-from .selected_terms import SelectedTerms, TermSelection, check_keep, term_selection
+from . import Equation, EquationSides, Evaluation, Unknown, channels, equations, groups, unknowns_of
+from .least_squares import Differentiator, FourierSmoothing, Regression, SavitzkyGolay, SmoothingSpline, regress
+from .selected_terms import SelectedTerms, TermSelection, check_keep, selection_options
 from .term_selection import select_terms, with_candidates, without
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["EquationError", "equation_error"]
+__all__ = [
+    "EquationError",
+    "equation_error",
+]
+
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -205,7 +198,7 @@ def equation_error(
     others = [] if held_out is None else as_experiments(held_out, "equation_error: held_out")
     if not isinstance(model, Model):
         raise ModelError(f"equation_error: the first argument is a Model, not a {type(model).__name__}")
-    options = None if select is None else term_selection(select)
+    options = None if select is None else selection_options(select)
     if options is None and others:
         raise OptionError(
             "equation_error: held_out is for a selection of terms: give select='stepwise' or another, too"
@@ -230,7 +223,8 @@ def equation_error(
     sides = [EquationSides(model, run, measured, listed, way) for run in runs]
     apart = [EquationSides(model, run, measured, listed, way) for run in others]
 
-    inside = parameters_in(model, listed, [n for n, p in model.declared_parameters.items() if not p.fixed])
+    free = {n for n, p in model.declared_parameters.items() if not p.fixed}
+    inside = [free.intersection(e.right.symbols) for e in listed]
     found: dict[str, tuple[Regression, int]] = {}
     collinear: list[tuple[tuple[str, ...], float]] = []
     warnings: list[str] = []

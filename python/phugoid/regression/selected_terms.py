@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
-from ..checks import is_whole
-from ..errors import OptionError, did_you_mean, listing
-from ..figures.style import MEASURED, MODEL, RULE, STATE, STYLE, WIDTH, plain
+from ..errors import OptionError, did_you_mean, is_whole, listing
+from ..figures import MEASURED, MODEL, RULE, STATE, WIDTH, plain, styled
 from ..notebook import notebook_page, paragraph, table
 from ..parameters import text_table
 from .subsets import SubsetStatistics
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["SelectedTerms", "SelectionStep", "TermSelection", "check_keep", "reason", "term_selection"]
+__all__ = ["SelectedTerms", "SelectionStep", "TermSelection", "check_keep", "reason", "selection_options"]
 
 Method: TypeAlias = Literal["stepwise", "all", "orthogonal"]
 Criterion: TypeAlias = Literal["press", "pse", "held_out"]
@@ -93,7 +92,7 @@ class TermSelection:
         return "pse" if self.method == "orthogonal" else "held_out" if held_out else "press"
 
 
-def term_selection(given: Any) -> TermSelection:
+def selection_options(given: Any) -> TermSelection:
     """Return the options of a selection, given as such or by the name of the method; raise OptionError for others."""
     if isinstance(given, TermSelection):
         return given
@@ -184,15 +183,12 @@ class SelectedTerms:
 
         Returns the figure and its axes, ``{"error": ...}``.
         """
-        import matplotlib.pyplot as plt
-        from matplotlib import rc_context
-
         at = list(range(len(self.steps)))
         curves = (
             ("RMS", "rms", MEASURED, "o-"), ("PRESS", "press", MODEL, "s--"), ("√PSE", "pse", STATE, "^:"),
             ("held out", "held_out", "#000000", "D-."),
         )  # fmt: skip
-        with rc_context(STYLE):
+        with styled() as plt:
             figure, axis = plt.subplots(figsize=(WIDTH, 2.8), layout="constrained")
             axis.axvline(self.chosen, color=RULE, linewidth=4.0, zorder=0)
             for label, name, color, style in curves:

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._core import Expr
-from ..checks import is_whole
-from ..errors import ModelError, OptionError, listing
+from ..errors import ModelError, OptionError, is_whole, listing
 from ..modelling.model import Model
-from .equations import Equation, EquationSides, Evaluation
+from . import Equation, EquationSides, Evaluation
 from .least_squares import coloured_middle
 from .selected_terms import SelectedTerms, SelectionStep, TermSelection, reason
 from .subsets import Block, Path, TermData, best_subsets, orthogonal, stepwise

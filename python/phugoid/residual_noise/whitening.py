@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 import phugoid._core as _core
 
+from . import UniformSegment
 from .autoregression import Autoregression, burg
-from .series import UniformSegment
 
 __all__ = [
     "Filter",

@@ -14,11 +14,11 @@ import numpy as np
 
 from ..data.experiment import Experiment
 from ..errors import DataError
+from ..filter_error import FilterError
 from ..fit_result import FitResult, Refinement, Smoothing
 from ..parameters import Estimates
 from ..records import Record
 from ..solvers import HINTS, Iteration, Solution
-from ..transcription.filter_error import FilterError
 
 __all__ = ["check_fit", "check_kinds"]
 

@@ -18,11 +18,11 @@ from ..data.interpolation import interpolated
 from ..errors import EvaluationError, OptionError
 from ..fit_result import FitResult, dataset
 from ..initialisation import spread
-from ..residual_noise.series import uniform_segments
+from ..residual_noise import uniform_segments
 from ..residual_noise.whitening import RowStructure
-from ..solvers.limits import check_time, time_is_up
-from ..transcription.collocation import Collocation
-from .trajectory import AddedTerm, Derivatives, Place, Points
+from ..solvers import check_time, time_is_up
+from ..transcription import Collocation
+from . import AddedTerm, Derivatives, Place, Points
 
 __all__ = ["Linearised"]
 

@@ -12,12 +12,12 @@ import phugoid._core as _core
 
 from .._core import Expr
 from ..errors import EvaluationError, OptionError
-from ..estimation.estimate import estimate
+from ..estimation import estimate
+from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult, dataset
 from ..modelling.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from ..modelling.noise import Gaussian, Noise
-from ..transcription.collocation import Collocation
-from ..transcription.filter_error import FilterError
+from ..transcription import Collocation
 from .linearised import Linearised
 
 __all__ = ["Scores", "Tangents", "cheap", "collocated", "collocated_for", "noise_values", "parameter_sensitivities"]

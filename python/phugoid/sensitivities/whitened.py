@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..residual_noise.whitening import Filter, MultivariateWhitening, Whitening
-from ..solvers.limits import check_time
+from ..solvers import check_time
 from .linearised import Linearised
 
 __all__ = ["Marginal", "RandomEffects", "Whitened", "at_knots", "joint_whitening", "own_whitening"]

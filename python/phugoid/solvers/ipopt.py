@@ -14,17 +14,15 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from ..errors import EvaluationError, OptionError
+from . import HINTS, Deadline, Iteration, Solution, check_limits, interrupts
 from .ipopt_callbacks import (
     STATUS,
     Callbacks,
     Scaling,
-    interruptible,
     load_cyipopt,
     scale_from_curvature,
     scale_from_data,
 )
-from .limits import Deadline, check_limits
-from .solution import HINTS, Iteration, Solution
 
 __all__ = ["Ipopt"]
 
@@ -104,11 +102,12 @@ class Ipopt:
             none = np.zeros(problem.n)
             return Solution(xi, np.zeros(problem.m), (none, none), "time limit", HINTS["time limit"], 0, 0.0)
         scaling = scale_from_data(problem, xi)
-        run = Callbacks(problem, wrapper.CyIpoptEvaluationError, watch, deadline, stop)
+        run = Callbacks(problem, wrapper.CyIpoptEvaluationError, watch, deadline)
         x = xi
         multipliers: Mapping[str, Any] | None = warm.multipliers_by_name() if warm else None
         run.near = warm is not None or not self.gauss_newton
-        with interruptible(run):
+        with interrupts() as pressed:
+            run.pressed = lambda: pressed() > 0 or (stop is not None and stop())
             while True:
                 final = run.near
                 x, info = self._stage(wrapper, run, x, scaling, multipliers, started)

@@ -5,11 +5,8 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import math
-import signal
 import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,10 +16,9 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from ..errors import MissingDependency
-from .limits import Deadline
-from .solution import Iteration
+from . import Deadline, Iteration
 
-__all__ = ["STATUS", "Callbacks", "Scaling", "interruptible", "load_cyipopt", "scale_from_curvature", "scale_from_data"]
+__all__ = ["STATUS", "Callbacks", "Scaling", "load_cyipopt", "scale_from_curvature", "scale_from_data"]
 
 
 def load_cyipopt() -> Any:
@@ -161,12 +157,13 @@ class Callbacks:
         failure: type[Exception],
         watch: Callable[[Iteration], None] | None,
         deadline: Deadline,
-        pressed: Callable[[], bool] | None = None,
     ) -> None:
         self.problem = problem
         self.failure = failure
         self.watch = watch
-        self._deadline, self._pressed = deadline, pressed
+        self._deadline = deadline
+        self.pressed: Callable[[], bool] = lambda: False
+        """Whether the user asks for an end."""
         self.late = False
         """Whether the time limit ended it."""
         self.history: list[Iteration] = []
@@ -201,7 +198,7 @@ class Callbacks:
 
     def _ask(self) -> None:
         """Refuse all evaluations once the run is to end: Ipopt then stops at its present point."""
-        self.stop = self.stop or (self._pressed is not None and self._pressed())
+        self.stop = self.stop or self.pressed()
         self.late = self.late or self._deadline.passed()
         if self.stop or self.late:
             raise self.failure()
@@ -276,21 +273,3 @@ class Callbacks:
             return False
         self.near = self.near or (arrived and not self.rescale)
         return not (self.stop or arrived or self.rescale)
-
-
-@contextmanager
-def interruptible(callbacks: Callbacks) -> Iterator[None]:
-    """Let Ctrl-C end the run after the iteration in progress, keeping the point reached; a second one raises."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def on_interrupt(number: int, frame: Any) -> None:
-        callbacks.stop = True
-        signal.signal(signal.SIGINT, before)
-
-    before = signal.signal(signal.SIGINT, on_interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from ..errors import OptionError
-from .limits import Deadline, check_limits
-from .solution import Iteration, Solution
+from . import Deadline, Iteration, Solution, check_limits
 
 __all__ = ["Minimum", "Newton", "bounded_step", "minimise", "solution_of"]
 

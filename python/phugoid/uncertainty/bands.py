@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_progress, part
 from ..data.experiment import Experiment
-from ..errors import DataError, OptionError, UnknownName, did_you_mean
-from ..figures.style import BAND, MEASURED, MODEL, SPAN, STYLE, WIDTH, labelled, plain
+from ..errors import DataError, OptionError, UnknownName, check_progress, did_you_mean, part
+from ..figures import BAND, MEASURED, MODEL, SPAN, WIDTH, labelled, plain, styled
+from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..initialisation import spread
 from ..notebook import overview, sparkline
@@ -23,9 +23,8 @@ from ..records import Record
 from ..sensitivities.linearised import Linearised
 from ..sensitivities.tangents import Tangents, collocated
 from ..solvers import Iteration
-from ..transcription.collocation import Collocation
-from ..transcription.filter_error import FilterError
-from ..validation.validate import ReEstimated, re_estimated
+from ..transcription import Collocation
+from ..validation import ReEstimated, re_estimated
 from .coloured import Colouring
 from .coloured import coloured as corrected
 from .filtered import check_ended, elsewhere, within
@@ -241,13 +240,10 @@ _BAND_COLUMNS, _BAND_HEIGHT = 2, 1.8
 
 def plot_bands(bands: Any, title: str) -> tuple[Figure, dict[str, Axes]]:
     """Plot one panel for each output: measured points, the model's line, and both bands."""
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
-
     names = list(bands.model)
     columns = min(_BAND_COLUMNS, len(names)) if len(names) > 2 else 1
     rows = math.ceil(len(names) / columns)
-    with rc_context(STYLE):
+    with styled() as plt:
         figure, grid = plt.subplots(
             rows, columns, figsize=(WIDTH, _BAND_HEIGHT * rows + 0.7), squeeze=False, sharex=True
         )

@@ -12,17 +12,16 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import is_whole, part, whole
-from ..errors import DataError, OptionError
-from ..estimation.collect import common_to, run_all
-from ..estimation.estimate import estimate
+from ..errors import DataError, OptionError, is_whole, part, whole
+from ..estimation import estimate
 from ..estimation.starts import Outcome, Problem, stream
-from ..figures.style import BAND, GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
+from ..estimation.workers import common_to, run_all
+from ..figures import BAND, GREY, MEASURED, ORANGE, WIDTH, labelled, plain, styled
+from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult
 from ..notebook import Rows, overview, sparkline
 from ..parameters import Estimates, text_table
-from ..solvers.limits import limited
-from ..transcription.filter_error import FilterError
+from ..solvers import limited
 from .filtered import of_fit
 from .resample import Blocks, ColouredNoise, Parametric, Resampler, block_length
 
@@ -166,12 +165,9 @@ class Bootstrap:
 def _plot(
     found: Bootstrap, names: Sequence[str], intervals: Mapping[str, tuple[float, float]]
 ) -> tuple[Figure, dict[str, Axes]]:
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
-
     columns = min(_COLUMNS, max(len(names), 1))
     rows = math.ceil(len(names) / columns)
-    with rc_context(STYLE):
+    with styled() as plt:
         figure, grid = plt.subplots(rows, columns, figsize=(WIDTH, _HEIGHT * rows + 0.4), squeeze=False)
         axes: dict[str, Axes] = dict(zip(names, grid.ravel(), strict=False))
         for axis in grid.ravel()[len(names) :]:

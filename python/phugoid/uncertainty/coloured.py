@@ -14,8 +14,8 @@ from ..errors import EvaluationError
 from ..fit_result import FitResult
 from ..notebook import notebook_page, table
 from ..parameters import Estimates, plus_minus, text_table
+from ..residual_noise import output_segments
 from ..residual_noise.autoregression import Autoregression
-from ..residual_noise.series import output_segments
 from ..residual_noise.whitening import (
     GridColumns,
     Links,

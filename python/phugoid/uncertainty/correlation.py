@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DataError, UnknownName, did_you_mean, listing
-from ..figures.style import STYLE, WIDTH, headline, plain
+from ..errors import DataError, UnknownName, did_you_mean, joined, listing
+from ..figures import WIDTH, headline, plain, styled
 from ..fit_result import FitResult
 from ..notebook import bullets, notebook_page, table
 from ..parameters import correlation_matrix, text_table
@@ -46,12 +46,11 @@ class WeakDirection:
     index: float
 
     def __str__(self) -> str:
-        names = list(self.steps)
-        listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
         moves = ", ".join(f"{name} by {step:+.2g}" for name, step in self.steps.items())
         return (
-            f"{listed} are hardly distinguishable: {moves} together is only one standard error (condition index "
-            f"{self.index:.0f}); fix one of them, give it a prior, or fly a manoeuvre that moves them separately"
+            f"{joined(list(self.steps))} are hardly distinguishable: {moves} together is only one standard error "
+            f"(condition index {self.index:.0f}); fix one of them, give it a prior, or fly a manoeuvre that moves them "
+            "separately"
         )
 
 
@@ -178,9 +177,6 @@ def plot_correlation(fit: FitResult, names: Sequence[str] | None = None) -> tupl
     Returns the figure and the axes by ``"correlation"`` and ``"scale"``. Raises UnknownName for a parameter that is
     not there, DataError for one that was not estimated, or where fewer than two were.
     """
-    from matplotlib import pyplot as plt
-    from matplotlib import rc_context
-
     every, matrix = list(fit.parameters), correlation_matrix(np.asarray(fit.covariance))
     shown = _chosen(fit, [name for name, own in zip(every, np.diag(matrix), strict=True) if np.isfinite(own)], names)
     order = [every.index(name) for name in shown]
@@ -192,7 +188,7 @@ def plot_correlation(fit: FitResult, names: Sequence[str] | None = None) -> tupl
     side = cell * (n - 1)
     width = WIDTH if left + side > _NARROW - 0.5 else _NARROW
     height = max(side + below, 0.9) + _TOP + _BOTTOM
-    with rc_context(STYLE):
+    with styled() as plt:
         figure = plt.figure(figsize=(width, height))
         bottom = (height - _TOP - side) / height
         axis = figure.add_axes((left / width, bottom, side / width, side / height))

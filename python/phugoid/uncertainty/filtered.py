@@ -14,11 +14,11 @@ import phugoid._core as _core
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError
 from ..estimation.filter_variables import Objective, Separated
+from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult, dataset
 from ..modelling.model import Model
 from ..records import Record
-from ..transcription.filter_error import FilterError
-from ..validation.validate import ReEstimated
+from ..validation import ReEstimated
 
 __all__ = ["Filtered", "check_ended", "elsewhere", "of_fit", "within"]
 

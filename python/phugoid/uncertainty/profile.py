@@ -12,15 +12,14 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import part
-from ..errors import OptionError, UnknownName, did_you_mean, listing
-from ..estimation.collect import common_to, run_all
+from ..errors import OptionError, UnknownName, did_you_mean, listing, part
 from ..estimation.starts import Outcome
-from ..figures.style import GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
+from ..estimation.workers import common_to, run_all
+from ..figures import GREY, MEASURED, ORANGE, WIDTH, labelled, plain, styled
 from ..fit_result import FitResult
 from ..notebook import Html, Rows, overview, sparkline
 from ..parameters import text_table
-from ..solvers.limits import limited
+from ..solvers import limited
 from .coloured import coloured as corrected
 from .profile_search import End, Side, Sides
 
@@ -262,13 +261,11 @@ _BEYOND = 4.0
 def plot_profiles(profiles: Sequence[Profile], level: float) -> tuple[Figure, dict[str, Axes]]:
     """Plot one panel for each parameter: the drop of log-likelihood, the parabola of the Cramér-Rao standard error
     (dashed), the threshold and the interval."""
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
     from matplotlib.lines import Line2D
 
     columns = min(_COLUMNS, max(len(profiles), 1))
     rows = math.ceil(len(profiles) / columns)
-    with rc_context(STYLE):
+    with styled() as plt:
         figure, grid = plt.subplots(
             rows, columns, figsize=(max(WIDTH * columns / _COLUMNS + 0.3, 3.9), _HEIGHT * rows + 0.4), squeeze=False
         )

@@ -10,13 +10,13 @@ from typing import Any, Literal, TypeAlias
 
 from ..data.experiment import Experiment
 from ..errors import PhugoidError
-from ..estimation.estimate import estimate
+from ..estimation import estimate
 from ..estimation.filter_variables import Separated
 from ..estimation.starts import Outcome, Problem
 from ..fit_result import ENDED_WELL, FitResult
 from ..modelling.model import Model
 from ..parameters import Estimates, Parameter
-from ..solvers.limits import check_time
+from ..solvers import check_time
 
 __all__ = ["End", "Side", "Sides"]
 

@@ -20,7 +20,7 @@ def open_source(
     time    name in the file of the column that gives the times; None: not given.
     requested  names that are asked for: columns that take long to read are skipped unless they are among them.
     """
-    from .frames import is_frame, read_frame
+    from .arrays import is_frame, read_frame
 
     if is_frame(data):
         return read_frame(data, time)
@@ -35,15 +35,15 @@ def open_source(
         if path.is_dir():
             raise DataError(f"{path}: is a folder without tables of a PX4 log (such as log_vehicle_attitude_0.csv)")
     if ending == ".mat":
-        from .named_arrays import read_matlab
+        from .arrays import read_matlab
 
         return read_matlab(path, time, columns)
     if ending in (".h5", ".hdf5", ".hdf", ".he5"):
-        from .named_arrays import read_hdf5
+        from .arrays import read_hdf5
 
         return read_hdf5(path, time, columns)
     if ending in (".parquet", ".pq"):
-        from .frames import read_parquet
+        from .arrays import read_parquet
 
         return read_parquet(path, time)
     if ending == ".ulg":

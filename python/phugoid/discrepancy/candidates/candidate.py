@@ -15,7 +15,7 @@ from ...errors import ModelError, did_you_mean
 from ...modelling.declared import Key
 from ...modelling.model import Model
 from ...parameters import Parameter
-from ...sensitivities.trajectory import Place, Points, shown_by_outputs
+from ...sensitivities import Place, Points, shown_by_outputs
 from .scales import Scales, of
 
 __all__ = [
@@ -174,8 +174,8 @@ class Effect(Candidate):
         return len(self.variables) != 1 or self.family not in _SHAPED or self.scales.tells(*self.variables, self.family)
 
     def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
-        """Of one that is centred at a trim: about zero, where that is no further from the record's values than these
-        vary, and about the first values."""
+        """Return, of one that is centred at a trim, those about zero, where that is no further from the record's values
+        than these vary, and about the first values."""
         found: list[Candidate] = []
         if not self.centred:
             return found

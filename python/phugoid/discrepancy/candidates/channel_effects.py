@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...functions import smooth_abs
 from ...modelling.model import Model
-from ...sensitivities.trajectory import Points
+from ...sensitivities import Points
 from .candidate import Candidate, Effect, ExtensionBuilder, largest_coefficient, place_range
 from .scales import (
     delay_bounds,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...functions import exp, smooth_abs, smooth_sign
 from ...modelling.model import Model
-from ...sensitivities.trajectory import Place, Points
+from ...sensitivities import Place, Points
 from .candidate import Effect, ExtensionBuilder, largest_coefficient
 from .scales import evaluated, mode_grid, of, rate_key, second_order
 

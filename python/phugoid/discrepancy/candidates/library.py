@@ -11,9 +11,8 @@ from typing import Any, Literal
 from ..._core import Expr
 from ...errors import ModelError, OptionError, did_you_mean
 from ...modelling.model import Model
-from ...sensitivities.trajectory import Place, Points
+from ...sensitivities import Place, Points
 from ..misfit.phrases import per_second
-from .actuators import Backlash, RateLimit
 from .candidate import Effect, unused
 from .channel_effects import (
     ClippedSensor,
@@ -28,12 +27,11 @@ from .channel_effects import (
     SensorLag,
     SensorScale,
 )
-from .collection import Candidates, read_terms
-from .directions import Directions
+from .collection import Candidates, Directions, read_terms
 from .hysteresis import FlexibleMode, Hysteresis, Stribeck
+from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
 from .model_structure import ANGLES, ModelStructure, Variable
 from .scales import Scales, output_key, trim_of
-from .stops import EndStop, LimitedForce, StateLimit
 from .terms import FORMS, LaggedVariable, ParameterDrift, Periodic, Rate, Ripple, Term, where
 
 __all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]

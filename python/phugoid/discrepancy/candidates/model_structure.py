@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ..._core import Expr
 from ...modelling.model import Model
-from ...sensitivities.trajectory import Place
+from ...sensitivities import Place
 
 __all__ = ["ANGLES", "ANGULAR_RATES", "ModelStructure", "Variable"]
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...errors import DataError
 from ...modelling.compiled import CompiledExpressions
-from ...sensitivities.trajectory import Points
+from ...sensitivities import Points
 
 __all__ = [
     "Scales",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...functions import Table, cos, sin, smooth_abs, smooth_sign, sqrt
 from ...modelling.model import Model
-from ...sensitivities.trajectory import Place, Points
+from ...sensitivities import Place, Points
 from .candidate import Effect, ExtensionBuilder, largest_coefficient, place_range
 from .scales import Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lagged, longest_lag, of
 

@@ -1,1 +1,155 @@
-"""Which manoeuvre would tell a cause from its rivals."""
+"""Which manoeuvre would tell a cause from its aliases.
+
+The model with the cause is flown through planned manoeuvres, and so is that with a rival in the cause's place, each as
+it was estimated. Of the difference of their outputs, in the metric of the fitted noise, a part would vanish, since the
+rival's parameters and first states would follow: what cannot, e, is the expected gain in log-likelihood, e'e/2, of the
+cause over this rival from data of that manoeuvre alone. (The Kullback-Leibler distance of the two models there, as in
+designs of experiments that discriminate between models: Atkinson and Fedorov, Biometrika 62, 1975.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...data.experiment import Experiment
+from ...errors import PhugoidError, joined
+from ..candidates.candidate import Candidate
+from ..misfit.phrases import number
+from ..search import Search, SearchResult
+from ..search.refit import Refit
+from .candidate_manoeuvres import GREATEST, KINDS, CandidateManoeuvre, CandidateManoeuvres
+
+__all__ = [
+    "DISCRIMINATES",
+    "Advice",
+    "DiscriminatingManoeuvre",
+    "advice_of",
+    "advised",
+    "discrimination_advice",
+]
+
+
+# An expected gain in log-likelihood that tells two models apart nearly for sure.
+DISCRIMINATES = 6.0
+
+
+@dataclass(frozen=True)
+class DiscriminatingManoeuvre:
+    """A manoeuvre that tells a cause from rivals.
+
+    manoeuvre  what to fly.
+    record     its times and inputs, from the state in which the first record begins.
+    gains      rival -> expected gain in log-likelihood of the cause over it.
+    here       gain over the likeliest of these in the records at hand.
+    """
+
+    manoeuvre: CandidateManoeuvre
+    record: Experiment
+    gains: dict[str, float]
+    here: float
+
+    def __str__(self) -> str:
+        length = number(float(self.record.t[-1] - self.record.t[0]))
+        return (
+            f"A {self.manoeuvre}, recorded for {length} s, would be expected to tell it from "
+            f"{joined(tuple(self.gains), 'and')} (expected gain in log-likelihood {number(min(self.gains.values()))}, "
+            f"this record gives {self.here:.1f})."
+        )
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to fly.
+
+    manoeuvres  each for the rivals that those before do not tell from the cause.
+    alike       rivals that none tells from it.
+    tried       inputs that were moved; none where no manoeuvre could be flown.
+    length      of a manoeuvre and what follows at most, s.
+    """
+
+    manoeuvres: tuple[DiscriminatingManoeuvre, ...]
+    alike: tuple[str, ...]
+    tried: tuple[str, ...]
+    length: float
+
+    def __str__(self) -> str:
+        """Return the advice in words; "" where no manoeuvre could be flown."""
+        sentences = [str(t) for t in self.manoeuvres]
+        if self.alike and self.tried:
+            sentences.append(
+                f"No manoeuvre of {joined(self.tried, 'or')} tried here ({KINDS}; {number(self.length)} s, up to "
+                f"{GREATEST:g} times as far as in this record) would tell it from {joined(self.alike, 'or')}: they "
+                "act alike."
+            )
+        return " ".join(sentences)
+
+
+def discrimination_advice(final: Refit, rivals: Sequence[Refit]) -> str:
+    """Return `advised` in words; "" where no manoeuvre could be flown."""
+    return str(advised(final, rivals))
+
+
+def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
+    """Return the manoeuvre that would tell the cause in ``final`` best from another one in its place, in each of
+    ``rivals``.
+
+    Manoeuvres of each control that moved in the records are tried, the other inputs held, from the state in which the
+    first record begins. Those that leave the envelope of the records before they are over are not flown: what the
+    models say there is not known, and nobody would let an unstable vehicle go so far. That is chosen which tells the
+    cause from most rivals, of such the one with the greatest least gain. On a disturbance, which is another in another
+    record, there is no advice.
+    """
+    names = [next(n for n in r.names if n not in final.names) for r in rivals]
+    nothing = Advice((), tuple(names), (), 0.0)
+    if any(not c.transferable for r in rivals for c in final.candidates if c.name not in r.names):
+        return nothing
+    flyable = CandidateManoeuvres(final)
+    if not flyable.manoeuvres:
+        return nothing
+    with np.errstate(over="ignore", invalid="ignore"):  # manoeuvres that ran away
+        found = np.array([flyable.gains(r, DISCRIMINATES) for r in rivals]).reshape(
+            len(rivals), -1
+        )  # (rivals, manoeuvres)
+    gains = np.nan_to_num(found)
+    here = [final.own.log_likelihood - r.own.log_likelihood for r in rivals]
+    open_ = [k for k in range(len(rivals)) if gains[k].max() >= DISCRIMINATES]
+    # Of a rival that has no solution anywhere there is nothing to say.
+    alike = tuple(n for k, n in enumerate(names) if k not in open_ and np.isfinite(found[k]).any())
+    chosen = []
+    while open_:
+        told = gains[open_] >= DISCRIMINATES
+        least = np.where(told, gains[open_], np.inf).min(axis=0)
+        best = int(np.lexsort((least, told.sum(axis=0)))[-1])
+        mine = [k for k in open_ if gains[k, best] >= DISCRIMINATES]
+        over = {names[k]: float(gains[k, best]) for k in mine}
+        chosen.append(
+            DiscriminatingManoeuvre(flyable.manoeuvres[best], flyable.record(best), over, min(here[k] for k in mine))
+        )
+        open_ = [k for k in open_ if k not in mine]
+    tried = tuple(dict.fromkeys(m.input for m in flyable.manoeuvres))
+    return Advice(tuple(chosen), alike, tried, float(flyable.t[-1] - flyable.t[0]))
+
+
+def advice_of(search: Search, result: SearchResult, candidate: Candidate | None, aliases: Sequence[str]) -> str:
+    """Return which manoeuvre would tell a candidate from its aliases; "" where there are none, and after Ctrl-C."""
+    if candidate is None or not aliases:
+        return ""
+    try:
+        return _advice(search, result.of(candidate), candidate, aliases)
+    except (PhugoidError, np.linalg.LinAlgError, KeyboardInterrupt):
+        return ""  # advice only: what was found stays
+
+
+def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequence[str]) -> str:
+    others = [c for c in final.candidates if c is not candidate]
+    named = {c.name: c for c in reversed(search.cache.candidates)}
+    refits = [search.cache.refit([*others, named[name]], final.fit) for name in aliases]
+    # Another finding may have an alias of this one for its cause.
+    rivals = [r for r in refits if r is not None and not {*r.names} <= {*final.names}]
+    if not rivals:
+        return ""
+    search.cache.watch(f"looking for a manoeuvre that tells {candidate.name} from {', '.join(aliases)}")
+    return discrimination_advice(final, rivals)

@@ -13,7 +13,7 @@ from ...data.experiment import Experiment
 from ...design.steps import PATTERNS, multistep, sweep
 from ...design.steps import step as step_input
 from ...fit_result import dataset
-from ...residual_noise.series import uniform_segments
+from ...residual_noise import uniform_segments
 from ...residual_noise.whitening import Filter, RowStructure
 from ..misfit.phrases import number, with_unit
 from ..search.refit import Refit

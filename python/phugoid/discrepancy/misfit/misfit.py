@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import DataError, UnknownName, listing
-from ...figures.style import (
+from ...figures import (
     BAND,
     GREY,
     INPUT,
@@ -18,25 +18,28 @@ from ...figures.style import (
     MODEL,
     RESIDUAL,
     SPAN,
-    STYLE,
     WIDTH,
     labelled,
     plain,
     squared,
+    styled,
     with_gaps,
 )
 from ...fit_result import FitResult
 from ...notebook import Html, bullets, notebook_page, sparkline, table
 from ...records import Record
-from ...residual_noise.series import channel_series, residual_of, resolution_of
-from .channel import ChannelMisfit, channel_misfit
+from ...residual_noise import channel_series, residual_of, resolution_of
+from . import ChannelMisfit, channel_misfit
 from .phrases import number, per_second, what_stands_out
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Misfit", "misfit"]
+__all__ = [
+    "Misfit",
+    "misfit",
+]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -142,9 +145,6 @@ _NAME = 90  # characters across the figure
 
 def _figure(misfit: Misfit, channels: Sequence[str] | None) -> tuple[Figure, dict[str, Axes]]:
     """Draw `Misfit.plot`."""
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
-
     names = list(misfit.worst[:3] if channels is None else channels)
     for name in names:
         if name not in misfit.channels:
@@ -152,7 +152,7 @@ def _figure(misfit: Misfit, channels: Sequence[str] | None) -> tuple[Figure, dic
     if not names:
         raise DataError("Misfit.plot: there is no channel to draw")
     panels: dict[str, Any] = {}
-    with rc_context(STYLE):
+    with styled() as plt:
         figure = plt.figure(figsize=(WIDTH, _PER_CHANNEL * len(names) + 0.25), layout="constrained")
         parts = figure.subfigures(len(names), 1, squeeze=False)[:, 0]
         for part, name in zip(parts, names, strict=True):
@@ -176,7 +176,7 @@ def _figure(misfit: Misfit, channels: Sequence[str] | None) -> tuple[Figure, dic
                 panels[f"{name} {what}"] = part.add_subplot(grid[1, i])
             _draw_autocorrelation(panels[f"{name} autocorrelation"], channel)
             _draw_spectrum(panels[f"{name} spectrum"], channel)
-            _draw_regime(panels[f"{name} regime"], channel, records)
+            _draw_regime(panels[f"{name} regime"], channel)
     return figure, panels
 
 
@@ -279,7 +279,7 @@ def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
     axis.set_title(plain(f"power, {squared(c.unit)}{tones}"), fontsize=7.5)
 
 
-def _draw_regime(axis: Axes, c: ChannelMisfit, records: Sequence[Record]) -> None:
+def _draw_regime(axis: Axes, c: ChannelMisfit) -> None:
     regime = c.telling
     if regime is None:
         _empty(axis, "no regimes:\ntoo few samples, or nothing moves")

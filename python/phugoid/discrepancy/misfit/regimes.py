@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...residual_noise import Series
 from ...residual_noise.autoregression import Autoregression, CorrelatedNoise
-from ...residual_noise.series import Series
 
 __all__ = ["Bin", "Dependence", "Regime", "Running", "Span", "correlations_of", "regimes_of", "spans_of"]
 

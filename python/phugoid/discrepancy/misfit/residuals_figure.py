@@ -10,25 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import DataError, UnknownName, listing
-from ...figures.fit import choose_record, sigmas_of
-from ...figures.style import (
+from ...figures import (
     BAND,
     GREY,
     INPUT,
     MEASURED,
     RESIDUAL,
-    STYLE,
     WIDTH,
     headline,
     labelled,
     plain,
     squared,
+    styled,
     with_gaps,
+    write_keys,
 )
+from ...figures.fit import choose_record, sigmas_of
 from ...fit_result import FitResult
 from ...records import Record
-from ...residual_noise.series import Series, autocorrelation_of, channel_series
-from ...residual_noise.spectrum import spectrum_of
+from ...residual_noise import Series, autocorrelation_of, channel_series
+from ...residual_noise.autoregression import spectrum_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,14 +68,11 @@ def plot_residuals(
     Returns the figure and the axes by ``"<output>"``, ``"<output> autocorrelation"``, ``"<output> spectrum"``. Raises
     UnknownName for an output or an experiment that is not there, DataError where nothing was measured.
     """
-    from matplotlib import pyplot as plt
-    from matplotlib import rc_context
-
     chosen = choose_record(fit.records, record)
     names = _chosen(chosen, channels)
     sigmas = sigmas_of(fit, chosen)
     axes: dict[str, Any] = {}
-    with rc_context(STYLE):
+    with styled() as plt:
         height = _ROW * len(names) + _HEAD + _FOOT
         figure = plt.figure(figsize=(WIDTH, height))
         grid = figure.add_gridspec(
@@ -112,7 +110,6 @@ def plot_residuals(
             axes,
             names,
             f"{fit.model.name}: {chosen.name}, {_called(chosen)}s",
-            height,
             bool(chosen.innovations),
         )
     return figure, axes
@@ -210,9 +207,7 @@ def _uneven(series: Series) -> bool:
     return bool(np.mean(np.abs(steps - np.rint(steps)) > _UNEVEN) > _MANY)
 
 
-def _finish(
-    figure: Figure, axes: dict[str, Any], names: Sequence[str], title: str, height: float, predicted: bool
-) -> None:
+def _finish(figure: Figure, axes: dict[str, Any], names: Sequence[str], title: str, predicted: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -232,16 +227,5 @@ def _finish(
         Patch(color=BAND, label="95 % if white"),
     ]
     for name, each in keys.items():
-        figure.legend(
-            handles=each,
-            loc="upper left",
-            bbox_to_anchor=(axes[name].get_position().x0, 1.0 - 0.27 / height),
-            ncols=len(each),
-            frameon=False,
-            borderpad=0.0,
-            borderaxespad=0.0,
-            columnspacing=0.9,
-            handlelength=1.2,
-            handletextpad=0.4,
-            fontsize=6.5,
-        )
+        left = axes[name].get_position().x0
+        write_keys(figure, left, each, columnspacing=0.9, handlelength=1.2, handletextpad=0.4, fontsize=6.5)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import DataError, UnknownName, listing
-from ...figures.style import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, STYLE, WIDTH, labelled, plain
+from ...figures import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, WIDTH, labelled, plain, styled
 from ...fit_result import FitResult
 from ...records import Record
 from ..misfit.phrases import number
@@ -58,16 +58,13 @@ def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axe
     Named causes are dark, minor findings and surrogates pale. Returns the figure and the axes by ``"explained"`` and
     ``"outputs"``. Raises DataError where no finding has a part that it explains.
     """
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
-
     shown = [f for f in findings if np.isfinite(f.explained)]
     if not shown:
         raise DataError("explained_figure: no finding has a part of the misfit that it explains")
     rivals = [[n for n in f.aliases if n in f.rivals_explained][:_RIVALS] for f in shown]
     outputs = list(dict.fromkeys(name for f in shown for name in f.explained_outputs))
     rows = sum(1 + len(each) for each in rivals)
-    with rc_context(STYLE):
+    with styled() as plt:
         figure, (left, right) = plt.subplots(
             1,
             2,
@@ -112,9 +109,6 @@ def curve_figure(finding: Finding) -> tuple[Figure, dict[str, Axes]]:
 
     Returns the figure and the axes by ``"curve"``. Raises DataError for a finding without a curve.
     """
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
-
     if not finding.curve:
         raise DataError("curve_figure: the finding has no curve: it is neither a disturbance nor an unknown function")
     name = finding.cause or next(iter(finding.aliases), "")
@@ -122,7 +116,7 @@ def curve_figure(finding: Finding) -> tuple[Figure, dict[str, Axes]]:
     at, value, error = (np.array(finding.curve[key]) for key in ("at", "value", "error"))
     # Knots of several records stand one after the other.
     pieces = np.split(np.arange(at.size), np.flatnonzero(np.diff(at) <= 0.0) + 1)
-    with rc_context(STYLE):
+    with styled() as plt:
         figure, axes = plt.subplots(figsize=(WIDTH, 2.0), layout="constrained")
         for piece in pieces:
             low, high = value[piece] - _NORMAL * error[piece], value[piece] + _NORMAL * error[piece]
@@ -135,23 +129,19 @@ def curve_figure(finding: Finding) -> tuple[Figure, dict[str, Axes]]:
 
 
 def findings_figure(
-    fit: FitResult, extension: ExtensionResult, channels: Sequence[str] | None = None, record: int | None = None
+    fit: FitResult, extension: ExtensionResult, channels: Sequence[str] | None = None
 ) -> tuple[Figure, dict[str, Axes]]:
-    """Per channel: residuals before and after, and beneath what the extension changes in the model's output.
+    """Per channel of the experiment where residuals fall most, in parts of what they were: residuals before and after,
+    and beneath what the extension changes in the model's output.
 
     channels  names; None: the three of which the RMS falls most.
-    record    index of the experiment; None: the one where residuals fall most, in parts of what they were.
 
     The change is the output of the extended model minus that of the base model, each at its own estimates: the added
     effect with what the other parameters made of it. Returns the figure and the axes by ``"<channel>"`` and
     ``"<channel> change"``. Raises UnknownName for a channel that is not there.
     """
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
-
-    if record is None:
-        falls = [_fall(b, a) for b, a in zip(fit.records, extension.fit.records, strict=True)]
-        record = int(np.argmin(falls))
+    falls = [_fall(b, a) for b, a in zip(fit.records, extension.fit.records, strict=True)]
+    record = int(np.argmin(falls))
     before, after = fit.records[record], extension.fit.records[record]
     known = [name for name in before.residuals if name in after.residuals]
     if channels is None:
@@ -162,7 +152,7 @@ def findings_figure(
     if not channels:
         raise DataError("findings_figure: there is no channel to draw")
     panels: dict[str, Any] = {}
-    with rc_context(STYLE):
+    with styled() as plt:
         figure, axes = plt.subplots(
             2 * len(channels),
             1,
@@ -207,21 +197,19 @@ def _finite(value: float) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def ranking_figure(ranking: Sequence[Scored], threshold: float, best: int = _BARS) -> tuple[Figure, dict[str, Axes]]:
+def ranking_figure(ranking: Sequence[Scored], threshold: float) -> tuple[Figure, dict[str, Axes]]:
     """Bars of the best candidates: twice the expected gain in log-likelihood, against the threshold.
 
     Filled bars use residuals whitened, ticks noise without the best few terms, which candidates are ranked by, circles
     residuals taken as white, which mislead. Hatched are candidates with a remark: hard to tell from the parameters
     there. Returns the figure and the axes by ``"ranking"``. Raises DataError where there is none.
     """
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
     from matplotlib.ticker import FuncFormatter
 
     if not ranking:
         raise DataError("ranking_figure: there are no candidates")
-    shown = sorted(ranking, key=lambda s: s.ranking, reverse=True)[:best]
-    with rc_context({**STYLE, "hatch.linewidth": 0.4}):
+    shown = sorted(ranking, key=lambda s: s.ranking, reverse=True)[:_BARS]
+    with styled({"hatch.linewidth": 0.4}) as plt:
         figure, axis = plt.subplots(figsize=(WIDTH, 0.24 * len(shown) + 0.9), layout="constrained")
         low = max(1.0, 0.3 * min(threshold, *(s.statistic for s in shown)))
         for row, scored in enumerate(shown):
@@ -271,14 +259,11 @@ def gain_figure(gain: Gain, units: Mapping[str, str] | None = None) -> tuple[Fig
 
     Returns the figure and the axes by ``"gain"``. Raises DataError for a gain without channels.
     """
-    import matplotlib.pyplot as plt
-    from matplotlib import rc_context
-
     names = list(gain.channels)
     if not names:
         raise DataError("gain_figure: the gain has no channels")
     held_out = [gain.change(name, held_out=True) for name in names]
-    with rc_context(STYLE):
+    with styled() as plt:
         figure, axis = plt.subplots(figsize=(WIDTH, 0.3 * len(names) + 0.9), layout="constrained")
         axis.axvline(100.0, color=INPUT, linewidth=0.6)
         rows = np.arange(len(names))

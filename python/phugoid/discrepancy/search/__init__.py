@@ -1,1 +1,303 @@
-"""The search for what is missing: linearise, scan, refit, hold out."""
+"""The search for what is missing: screen, refit, confirm, until nothing significant is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...data.experiment import Experiment
+from ...sensitivities.linearised import Linearised
+from ..candidates.candidate import Candidate
+from .confirmation import Confirmation, ConfirmationSettings, Found, Refitting, RefittingSettings
+from .evidence import Assessment, AssessmentSettings, is_physical, is_structured
+from .finding import ExtensionResult, Gain
+from .refit import HeldOut, Refit
+from .refit_cache import RefitCache
+from .screen import Screen, ScreenSettings, complexity, is_equal, plausibility
+
+__all__ = [
+    "Search",
+    "SearchResult",
+    "SearchSettings",
+]
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """Settings of all stages, and ``most`` findings: what is left then is for another diagnosis, of the extended
+    model. The search ends after ``minor`` steps one after the other that explain next to nothing. Where the screen
+    proposes nothing that is confirmed, though the part ``error`` of the residuals' power is predictable, constants and
+    linear terms are tried all, and where the part ``doubt`` is, twice as many as the screen proposes. Where no more
+    than ``structure`` is predictable, nothing is unexplained."""
+
+    screen: ScreenSettings = field(default_factory=ScreenSettings)
+    refitting: RefittingSettings = field(default_factory=RefittingSettings)
+    confirmation: ConfirmationSettings = field(default_factory=ConfirmationSettings)
+    assessment: AssessmentSettings = field(default_factory=AssessmentSettings)
+    most: int = 4
+    minor: int = 2
+    error: float = 0.5
+    doubt: float = 0.3
+    structure: float = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """What a search found.
+
+    final        the model with all causes that are named, fitted.
+    found        what that is, minor findings and surrogates beside it, and a misfit that nothing explains.
+    full         the model with minor findings and surrogates too.
+    remarks      what is to be said of it, in words.
+    interrupted  whether the search was ended early.
+    surrogates   names of terms that stand in for something that no candidate describes.
+    """
+
+    final: Refit
+    full: Refit
+    found: tuple[Found, ...] = ()
+    remarks: tuple[str, ...] = ()
+    interrupted: bool = False
+    surrogates: frozenset[str] = frozenset()
+
+    def of(self, candidate: Candidate) -> Refit:
+        """Return the refit in which a finding is told."""
+        return self.final if candidate.name in self.final.names else self.full
+
+
+class Search:
+    """A search at a base fit, by three stages that share what is known of sets of candidates."""
+
+    def __init__(
+        self,
+        base: Refit,
+        candidates: Sequence[Candidate],
+        validation: Sequence[Experiment] = (),
+        watch: Callable[[str], None] = lambda _: None,
+        biases: Sequence[str] | None = None,
+        settings: SearchSettings | None = None,
+        diagnosed: tuple[Refit, Linearised | None] | None = None,
+    ) -> None:
+        self.settings = s = settings or SearchSettings()
+        self._listed = candidates
+        self.cache = RefitCache(base, candidates, validation, watch, biases, diagnosed)
+        self.assessment = Assessment(self.cache, s.assessment)
+        self.screen = Screen(self.cache, self.assessment.threshold, s.screen)
+        self.refitting = Refitting(self.cache, self.screen, self.assessment, s.refitting)
+        self.confirmation = Confirmation(self.cache, self.screen, self.refitting, self.assessment, s.confirmation)
+
+    def on(
+        self,
+        base: Refit,
+        validation: Sequence[Experiment] | None = None,
+        biases: Sequence[str] | None = None,
+        diagnosed: tuple[Refit, Linearised | None] | None = None,
+    ) -> Search:
+        """Return the same search at another fit; with other data held out, other biases, and another model whose misfit
+        is diagnosed, where they are given."""
+        cache = self.cache
+        data, free = cache.validation if validation is None else validation, cache.biases if biases is None else biases
+        search = Search(base, self._listed, data, cache.watch, free, self.settings, diagnosed or cache.diagnosed)
+        search.cache.proposed = cache.proposed
+        return search
+
+    def propose(self, near: Refit, candidates: Sequence[Candidate]) -> None:
+        """Have the candidates that do most to first order about a fit whose motion is nearer to the records refitted,
+        too, and begun there."""
+        there = Search(near, candidates, watch=self.cache.watch, settings=self.settings)
+        self.cache.proposed = {c.name: there.cache.start(c.name) for c in there.screen.plainest(near)}
+
+    def without_noise(self, base: Refit, validation: Sequence[Experiment]) -> Search:
+        """Return the same search on records whose inputs were freed of noise: what is left of that is still part of the
+        misfit of the model that was diagnosed."""
+        cache = self.cache
+        return self.on(base, validation, diagnosed=cache.diagnosed or (cache.base, cache.on_validation(cache.base)))
+
+    def run(self) -> SearchResult:
+        """Screen, refit and confirm, one term after the other."""
+        current, unexplained = self.cache.base, None
+        remarks: tuple[str, ...] = ()
+        seen: set[tuple[str, ...]] = set()
+        minor = 0
+        try:
+            while len(current.candidates) < self.settings.most:
+                following, unexplained = self.confirmation.accepted(current, self.refitting.tries(current))
+                if following is None and not current.candidates and is_structured(current, self.settings.error):
+                    # What a candidate does to first order says little of what a fit with it does.
+                    following, _ = self.confirmation.accepted(current, self.refitting.tries(current, simple=True))
+                if following is None and is_structured(current, self.settings.doubt):
+                    following, _ = self.confirmation.accepted(current, self.refitting.tries(current, times=2))
+                if following is None or following.names in seen:
+                    break
+                seen.add(following.names)
+                minor = minor + 1 if self._is_minor(current, following) else 0
+                current = following
+                if minor == self.settings.minor:  # what comes next would be less
+                    break
+            current = self._pruned(current)
+            if not is_structured(current, self.settings.structure):
+                unexplained = None  # what is left passes for noise
+            unexplained = unexplained or self.confirmation.ringing(current)
+            left = self.cache.ringing(current)
+            if left and not (unexplained and unexplained.ringing):
+                remarks = (_rest_rings(left.frequencies),)
+            return self.concluded(current, unexplained, remarks)
+        except KeyboardInterrupt:
+            return self._interrupted(current, remarks)
+
+    def _interrupted(self, current: Refit, remarks: tuple[str, ...]) -> SearchResult:
+        """Return what had been accepted, by the evidence of that time: beside what came later it may be other."""
+        nan = float("nan")
+        found = []
+        for c in current.candidates:
+            e = self.confirmation.evidence.get(c.name)
+            needed = self.assessment.threshold(c) / 2
+            if e is None or e.held_out is None:
+                found.append(Found(c, nan, needed, {}, HeldOut(nan, 0.0, nan)))
+            else:
+                found.append(Found(c, e.gain / 2, needed, {}, e.held_out, explained=e.explained))
+        weak = {f.candidate.name for f in found if f.candidate and self.assessment.is_minor(f.explained)}
+        final = self.cache.known([c for c in current.candidates if c.name not in weak])
+        return SearchResult(final or current, current, tuple(found), remarks, True)
+
+    def chances(self, at: Refit) -> float:
+        """Return the log-likelihood that a refit's terms must gain, as many as were tried."""
+        return sum(self.assessment.needed(at, c) for c in at.candidates) / 2.0
+
+    def concluded(self, at: Refit, unexplained: Found | None = None, remarks: tuple[str, ...] = ()) -> SearchResult:
+        """Return what is reported of a refit's terms, and of a misfit that none explains.
+
+        Terms that are not named and make the simulation of data held out no better are not reported.
+        """
+        at = self._preferred(at, self._named(at).names)
+        final = self._named(at)
+        named = {c.name: c for c in final.candidates}
+        explained = {c.name: self.confirmation.explained(at, c) for c in at.candidates if c.name not in named}
+        useful = [c for c in at.candidates if (e := explained.get(c.name)) is None or e.part > 0.0]
+        if len(useful) < len(at.candidates):
+            at = self.cache.refit(useful, at.fit) or final
+        found = [
+            self.confirmation.found(final if c.name in named else at, named.get(c.name, c), c.name in named)
+            for c in at.candidates
+        ]
+        return SearchResult(final, at, (*found, unexplained) if unexplained else tuple(found), remarks)
+
+    def _pruned(self, at: Refit) -> Refit:
+        """Return the refit without terms that later ones have made needless, the least significant first."""
+        while len(at.candidates) > 1:
+            margins = {}
+            for c in at.candidates:
+                without = self.cache.refit([other for other in at.candidates if other is not c], at.fit)
+                if without is not None:
+                    margins[without] = self.assessment.gain(without, at) - self.assessment.needed(at, c)
+            least = min(margins, key=lambda r: margins[r], default=at)
+            if least is at or margins[least] > 0.0:
+                break
+            at = least
+        return at
+
+    def _preferred(self, at: Refit, names: Collection[str]) -> Refit:
+        """Return the refit with the most plausible of causes that are the same but for rounding: which one is named
+        must not depend on that."""
+        for name in names:
+            candidate = next(c for c in at.candidates if c.name == name)
+            others = [c for c in at.candidates if c is not candidate]
+            best, rank = at, plausibility(candidate, self.cache.base.fit.model)
+            for r, _ in self.refitting.rivals(at, candidate):
+                if r is at or r.names == at.names:
+                    continue
+                (new,) = r.beside(others)
+                own = plausibility(new, self.cache.base.fit.model)
+                # With more unknowns it would be as likely by being able to be many things.
+                richer = len(new.parameters) > len(candidate.parameters) or complexity(new) > complexity(candidate)
+                if own >= rank or richer or not is_physical(r, new) or not is_equal(at, r):
+                    continue
+                if self.assessment.is_named(r, new, self.confirmation.explained(r, new)):
+                    best, rank = r, own
+            at = best
+        return at
+
+    def _named(self, full: Refit) -> Refit:
+        """Return the refit with causes that are named only.
+
+        Of terms that are no cause the one that explains least is left out first: beside it another may look needless.
+        """
+        at = full
+        while True:
+            explained = {c.name: self.confirmation.explained(at, c) for c in at.candidates}
+            assess = self.assessment
+            weak = [c for c in at.candidates if not assess.is_named(at, c, explained[c.name]) or self._wanders(at, c)]
+            if not weak:
+                return at
+            weak.sort(key=lambda c: e.part if (e := explained[c.name]) else 0.0)
+            # Where one set cannot be fitted another may.
+            sets = [[c for c in at.candidates if c is not w] for w in weak]
+            sets.append([c for c in at.candidates if c not in weak])
+            following = next((r for s in sets if (r := self.cache.refit(s, at.fit)) is not None), None)
+            if following is None:
+                return at
+            at = following
+
+    def _wanders(self, at: Refit, candidate: Candidate) -> bool:
+        """Tell whether a term of this record alone, beside the others, is no likelier than sensors that wander."""
+        if candidate.transferable:
+            return False
+        without = self.cache.refit([c for c in at.candidates if c is not candidate], at.fit)
+        return without is not None and self.assessment.wanders(without, at, candidate)
+
+    def shared(self, at: Refit) -> Refit:
+        """Return the refit without disturbances and drifts with which, as they were fitted, the simulation of the
+        validation records is no better: they are of the records of the fit alone, and no part of a model for others."""
+        for c in [c for c in at.candidates if not c.transferable] if self.cache.validation else []:
+            without = self.cache.refit([other for other in at.candidates if other is not c], at.fit)
+            if without is None:
+                continue
+            before, after = self.assessment.held_out_rms(without), self.assessment.held_out_rms(at)
+            if not after or sum(float(np.log(after[n] / before[n])) for n in before) >= 0.0:
+                at = without
+        return at
+
+    def _is_minor(self, before: Refit, after: Refit) -> bool:
+        """Tell whether the last step explains less of the misfit than is worth a name."""
+        explained = self.assessment.explained(before, after)
+        return explained is None or explained.part < self.assessment.settings.minor
+
+    def extension(self, final: Refit, known: bool = False) -> ExtensionResult:
+        """Return the model with all terms that were found, its fit, and the gain over the base model. With ``known``
+        nothing more is fitted to validation data."""
+        base, assess = self.cache.base, self.assessment
+        more = len(final.fit.model.parameter_names) - len(base.fit.model.parameter_names)
+        white = final.fit.log_likelihood - base.fit.log_likelihood
+        names = base.fit.model.output_names
+        before, after = (assess.held_out_rms(r, known) for r in (base, final))
+        held_out = 0.0
+        if final.candidates:
+            missing = known and self.cache.validation and not (before and after)
+            held_out = float("nan") if missing else assess.held_out_as_fitted(base, final)
+        gain = Gain(
+            log_likelihood=white,
+            log_likelihood_whitened=assess.gain(base, final) / 2 if final.candidates else 0.0,
+            bic=-2.0 * white + more * float(np.log(base.linear.n_rows)),
+            held_out=held_out,
+            rms_before=_rms(base, names),
+            rms_after=_rms(final, names),
+            held_out_rms_before=before,
+            held_out_rms_after=after,
+        )
+        return ExtensionResult(final.fit.model, final.fit, final.names, gain)
+
+
+def _rms(at: Refit, names: Sequence[str]) -> dict[str, float]:
+    """Output -> RMS of the residuals over all records."""
+    each = {name: np.concatenate([r.residuals[name] for r in at.fit.records]) for name in names}
+    return {name: float(np.sqrt(np.nanmean(r**2))) for name, r in each.items()}
+
+
+def _rest_rings(frequencies: Sequence[float]) -> str:
+    at = ", ".join(f"{f:.3g}" for f in frequencies)
+    return (
+        f"What is left of the residuals rings at {at} Hz, a lightly damped mode of the model: disturbances that come "
+        "through the vehicle do that, and so does a term that the model lacks. Noise as coloured as that hides either."
+    )

@@ -11,16 +11,15 @@ from dataclasses import replace
 import numpy as np
 
 from ...errors import PhugoidError
-from ...validation.frozen_model import freed_by_default
+from ...frozen_model import freed_by_default
 from ..candidates.candidate import Candidate
+from . import Search, SearchResult
 from .disturbance import Disturbances
 from .finding import ExtensionResult
 from .record_change import RecordChange, record_changes
-from .recorded_input import RecordedInput, recorded_input
+from .recorded_input import RecordedInput, SampledInputs, recorded_input, sampled_inputs
 from .refit import Refit, fitted_to
 from .remainder import Remainder, RemainderSettings, remainder_of
-from .sampled_input import SampledInputs, sampled_inputs
-from .search import Search, SearchResult
 from .segments import short_segments
 
 __all__ = [

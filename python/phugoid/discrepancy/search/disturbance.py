@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from ...modelling.model import Model
 from ...residual_noise.whitening import Filter, Whitening
+from ...sensitivities import Place, Points
 from ...sensitivities.linearised import Linearised
-from ...sensitivities.trajectory import Place, Points
 from ...sensitivities.whitened import Marginal, RandomEffects, at_knots
-from ...solvers.limits import check_time
+from ...solvers import check_time
 from ..candidates.scales import levels_of
 from .refit import Refit
 

@@ -8,15 +8,14 @@ from functools import cache
 
 import numpy as np
 
-from ...residual_noise.series import WITHIN, resolution_of
+from ...residual_noise import WITHIN, resolution_of
 from ...residual_noise.whitening import Whitening
 from ..candidates.candidate import Candidate, Effect
 from .free_run import Explained, Misfitting, Simulated
 from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, predicted_blocks, predicted_from_blocks
 from .refit_cache import RefitCache
-from .ringing import is_near
-from .simplest import RICH, complexity
-from .wandering import wandering
+from .ringing import is_near, wandering
+from .screen import RICH, complexity
 
 __all__ = ["Assessment", "AssessmentSettings", "Evidence", "chi_square_quantile", "is_physical", "is_structured"]
 

@@ -14,7 +14,7 @@ from ...fit_result import FitResult
 from ...modelling.model import Model
 from ...notebook import notebook_page, paragraph, sparkline, table
 from ...parameters import plus_minus, text_table
-from ..misfit.channel import ChannelMisfit
+from ..misfit import ChannelMisfit
 from ..misfit.misfit import Misfit, misfit
 
 __all__ = ["DiagnosisResult", "ExtensionResult", "Finding", "Gain", "Scored"]

@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ...errors import joined
 from ...fit_result import FitResult
 from ..candidates.candidate import Candidate
 from ..candidates.terms import where
 from ..misfit.phrases import number, per_second, percent
+from . import SearchResult
 from .confirmation import Found
 from .disturbance import Disturbance
 from .evidence import is_physical
@@ -19,7 +21,6 @@ from .record_change import RecordChange
 from .recorded_input import RecordedInput
 from .refit import Refit
 from .remainder import Remainder
-from .search import SearchResult
 
 __all__ = ["finding_of", "finding_of_record_change", "finding_of_recorded_input", "finding_of_remainder", "no_optimum"]
 
@@ -259,7 +260,7 @@ def _shape(d: Disturbance) -> str:
     """Return the values of a function at its ends and in the middle, in words."""
     picked = [0, d.knots.size // 4, d.knots.size // 2, 3 * d.knots.size // 4, d.knots.size - 1]
     pairs = [f"{number(float(d.values[i]), 3)} at {number(float(d.knots[i]), 3)}" for i in picked]
-    return f"{', '.join(pairs[:-1])} and {pairs[-1]}"
+    return joined(pairs)
 
 
 def _advice(r: Remainder) -> str:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...residual_noise.series import ROUNDED, resolution_of
+from ...residual_noise import ROUNDED, resolution_of
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.linearised import Linearised
 

@@ -18,16 +18,16 @@ from ...errors import PhugoidError
 from ...fit_result import dataset
 from ...modelling.model import Model
 from ...parameters import Parameter
+from ...sensitivities import Place
 from ...sensitivities.linearised import Linearised
-from ...sensitivities.trajectory import Place
-from ...solvers import Newton
+from ...solvers.newton import Newton
 from ..candidates.candidate import unused
 from ..candidates.model_structure import ModelStructure
 from ..candidates.terms import where
+from . import Search, SearchResult
 from .evidence import AssessmentSettings, chi_square_quantile
 from .free_run import Explained, Misfitting, Simulated
 from .refit import BLOCKS, Refit, blocks_of, fitted_to
-from .search import Search, SearchResult
 
 __all__ = ["RecordChange", "record_changes"]
 

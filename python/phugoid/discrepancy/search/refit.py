@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
 from ...errors import DataError, ModelError, PhugoidError
-from ...estimation.estimate import estimate
+from ...estimation import estimate
 from ...fit_result import ENDED_WELL, FitResult, dataset
+from ...frozen_model import estimates_of, freed_by_default, freeze_model, freeze_noise, mesh_for
 from ...modelling.model import Model
 from ...parameters import Estimates
 from ...residual_noise.whitening import Filter
+from ...sensitivities import Points
 from ...sensitivities.linearised import Linearised
-from ...sensitivities.trajectory import Points
 from ...sensitivities.whitened import Whitened, joint_whitening, own_whitening
-from ...solvers import Newton
-from ...solvers.limits import check_time
-from ...validation.frozen_model import estimates_of, freed_by_default, freeze_model, freeze_noise, mesh_for
+from ...solvers import check_time
+from ...solvers.newton import Newton
 from ..candidates.candidate import Candidate
 
 __all__ = [

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ...fit_result import FitResult
+from ...frozen_model import freed_by_default
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.linearised import Linearised
-from ...solvers.limits import check_time
-from ...validation.frozen_model import freed_by_default
+from ...solvers import check_time
 from ..candidates.candidate import Candidate, with_variants
 from .refit import Refit, on_other_data, refit
 from .ringing import Ringing, light_modes, ringing_of

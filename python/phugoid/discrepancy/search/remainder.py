@@ -13,20 +13,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen_model import freed_by_default
+from ...sensitivities import Place
 from ...sensitivities.linearised import Linearised
-from ...sensitivities.trajectory import Place
 from ...sensitivities.whitened import Whitened
-from ...validation.frozen_model import freed_by_default
 from ..candidates.candidate import Candidate, Effect, is_function
+from . import Search, SearchResult
 from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of, powers_of
 from .evidence import is_structured
 from .free_run import LEAST, Explained, Misfitting, Simulated
-from .process_noise import FilterErrorRefit, filtered, filtered_elsewhere
+from .other_laws import formula, terms_of, unknown_function
+from .process_noise import FilterErrorRefit, filtered, filtered_elsewhere, single_event
 from .refit import Refit, fitted_to
-from .search import Search, SearchResult
-from .single_event import single_event
-from .unknown_function import formula, terms_of, unknown_function
-from .wandering import wandering
+from .ringing import wandering
 
 __all__ = ["Remainder", "RemainderSettings", "remainder_of"]
 

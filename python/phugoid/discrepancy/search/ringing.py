@@ -1,4 +1,5 @@
-"""Residuals that ring at a lightly damped mode of the model, and noise that does not.
+"""Residuals that ring at a lightly damped mode of the model, and noise that does not; sensors that wander, beside
+which a drift must be the likelier cause.
 
 A term that the model lacks drives the vehicle, which answers at its modes. Where one is lightly damped the residual
 rings at its frequency, as narrow in the spectrum as noise of a sharp resonance would be; an autoregressive model learns
@@ -9,6 +10,10 @@ Sensors have no such noise: what rings at a mode has come through the vehicle, b
 missing. So there is a second model of the noise, the same but for its poles near lightly damped modes, which are damped
 well. It does not tell turbulence from a missing term, and so nothing is named by it; but it shows that there is one of
 the two.
+
+The sum of many small steps rises or falls over a record by chance, and a straight line fits it better than stationary
+noise does, the more significantly the longer the record is (Granger and Newbold 1974, Durlauf and Phillips 1988). A
+drift of a sensor, or of a parameter, is known for one only where the line is likelier than a walk.
 """
 
 from __future__ import annotations
@@ -25,9 +30,19 @@ from ...linear.linearise import numbers_of
 from ...modelling.compiled import Jacobians
 from ...residual_noise.autoregression import Autoregression
 from ...residual_noise.whitening import Whitening
+from ...sensitivities import Place
 from ...sensitivities.linearised import Linearised
+from ...sensitivities.whitened import RandomEffects, Whitened, at_knots
+from ...solvers import check_time
+from .refit import Refit
 
-__all__ = ["Ringing", "is_near", "light_modes", "ringing_of"]
+__all__ = [
+    "Ringing",
+    "is_near",
+    "light_modes",
+    "ringing_of",
+    "wandering",
+]
 
 _Array = NDArray[np.float64]
 _Complex = NDArray[np.complex128]
@@ -130,3 +145,59 @@ def _predicting(a: _Array) -> Autoregression:
         predictors.append(a)
         powers.append(powers[-1] / (1.0 - k * k))
     return Autoregression(tuple(predictors[::-1]), np.array(powers[::-1]))
+
+
+# Knots of a walk, over all records.
+_KNOTS = 100
+
+
+def wandering(at: Refit, outputs: Sequence[str]) -> float:
+    """Return by how much the log-likelihood of a refit's residuals, less the number of its parameters, rises where the
+    noise of outputs is a random walk with white noise on it in place of an autoregression; of those where it does."""
+    filter = at.own.filter
+    assert isinstance(filter, Whitening)  # channel by channel
+    linear, total = at.linear, 0.0
+    alone = Whitened(linear, Whitening(filter.channels, linear.structure))
+    names = linear.model.output_names
+    lines, covariance = _lines(linear), _walk(linear)
+    for output in outputs:
+        check_time()
+        which = names.index(output)
+        channels = list(filter.channels)
+        channels[which] = Autoregression((np.empty(0),), np.array([channels[which].power]))
+        own = Whitening(channels, linear.structure)
+        answers = linear.answers(Place("output", output), lines)
+        walk = RandomEffects(linear, answers, own).with_correlation(covariance).maximised(np.ones(len(names)))
+        total += max(walk.log_likelihood - own.parameters - 1.0 - alone.lenient_merit, 0.0)
+    return total
+
+
+def _knots(linear: Linearised) -> list[_Array]:
+    """Return the times of the knots of each record."""
+    spans = [float(p.t[-1] - p.t[0]) for p in linear.points]
+    counts = [max(round(_KNOTS * s / sum(spans)), 2) for s in spans]
+    return [np.linspace(p.t[0], p.t[-1], n) for p, n in zip(linear.points, counts, strict=True)]
+
+
+def _lines(linear: Linearised) -> list[_Array]:
+    """Return broken lines (k, n) of all knots along each record: zero in the others."""
+    knots = _knots(linear)
+    ends = np.cumsum([0, *(k.size for k in knots)])
+    found = []
+    for e, p in enumerate(linear.points):
+        signals = np.zeros((int(ends[-1]), p.n))
+        signals[ends[e] : ends[e + 1]] = at_knots(p.t, knots[e])
+        found.append(signals)
+    return found
+
+
+def _walk(linear: Linearised) -> _Array:
+    """Return the covariance (k, k) of walks of unit steps, one in each record."""
+    knots = _knots(linear)
+    out = np.zeros((sum(k.size for k in knots),) * 2)
+    first = 0
+    for k in knots:
+        index = np.arange(1.0, k.size + 1.0)
+        out[first : first + k.size, first : first + k.size] = np.minimum(index[:, None], index)
+        first += k.size
+    return out

@@ -18,7 +18,7 @@ from ...residual_noise.autoregression import Autoregression
 from ...residual_noise.whitening import Filter, Whitening
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.whitened import Whitened
-from ...solvers.limits import check_time
+from ...solvers import check_time
 from ..candidates.candidate import Candidate
 
 __all__ = ["CONFOUNDED", "NEARLY", "Groups", "Scan", "Statistics"]

@@ -1,24 +1,52 @@
-"""Records cut into segments, each with first states of its own, where a simulation of the whole drifts away from them.
+"""Records as a diagnosis takes them: cut into segments, each with first states of its own, where a simulation of the
+whole drifts away from them; fits that ended at no optimum, estimated again; thinned where they are sampled much faster
+than anything in them happens.
 
 Of a system that integrates, is unstable, or stands in a closed loop, whose inputs go by what it does, a free simulation
 with a model that lacks something ends far from the record. To first order about such a motion next to nothing is true:
 a friction has the wrong sign of the rate, and a term that holds the motion near the record looks like the cause.
 Simulated over a horizon, the motion stays near what was measured.
+
+Why an estimation fails is often what a diagnosis is asked for: a model that lacks something, a large bias or noise on a
+recorded input leads the path of a whole record astray. Over short segments with first states of their own it is not.
+
+Of two records of one motion, that with more samples has the same to say of the vehicle, and more of the noise. An
+autoregression of a few samples spans a time in which the vehicle does not move, and thresholds in samples mean another
+time. Means over blocks keep what the samples say of a motion that is slow beside a block, and their noise is less by
+the root of the samples in it. Inputs keep their own samples: what is quick in them acts as it did.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
-from ...fit_result import dataset
+from ...data.filtering import EVEN, Signal
+from ...errors import PhugoidError
+from ...estimation import estimate
+from ...fit_result import ENDED_WELL, FitResult, dataset
+from ...modelling.model import Model
+from ...residual_noise import resolution_of
+from ...residual_noise.whitening import Whitening
+from ...solvers import HINTS, check_time
+from ...solvers.newton import Newton
 from .evidence import is_structured
 from .refit import Refit, fitted_to, values_of
 
-__all__ = ["Segments", "fitted_to_segments", "segments_of", "short_segments"]
+__all__ = [
+    "Restart",
+    "Segments",
+    "Thinned",
+    "fitted_to_segments",
+    "restarted",
+    "segments_of",
+    "short_segments",
+    "thinned",
+]
 
 # Segments of all records, and samples that each has at least: a tenth of a record holds a few of the motions that the
 # record was made for. Short ones, about which candidates are proposed, are as many as these samples allow.
@@ -94,3 +122,234 @@ def _cut(e: Experiment, length: int) -> list[Experiment]:
     if len(parts) == 1:
         return [e]
     return [e.window(e.t[p[0]], e.t[p[-1]], name=f"{e.name} from {e.t[p[0]]:.4g} s") for p in parts]
+
+
+# Iterations and seconds of each estimation, beside as many times what the fit itself took.
+_ITERATIONS, _SECONDS, _TIMES = 400, 20.0, 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Restart:
+    """Says what became of a fit that ended at no optimum.
+
+    fit       at an optimum; None where no estimation ended there.
+    words     what was done, and what the status of the first fit means for the diagnosis.
+    segments  of the records, where only these can be fitted.
+    """
+
+    fit: FitResult | None
+    words: str
+    segments: Segments | None = None
+
+
+def restarted(fit: FitResult, validation: Sequence[Experiment]) -> Restart:
+    """Return a fit of the same model at an optimum: continued; with parameters fixed that the data do not determine;
+    begun again from the measured path, or from what short segments tell; or that to the segments."""
+    status = f"The fit that was given ended as '{fit.status}' ({fit.message or HINTS.get(fit.status, '')})"
+    again = _estimated(fit, fit.model, start=fit) or _estimated(fit, fit.model)
+    if again is not None:
+        return Restart(again, f"{status}; it was estimated again, which converged, and that fit was diagnosed.")
+    undetermined = [n for n, e in fit.parameters.items() if not (e.fixed or np.isfinite(e.std_error))]
+    declared = fit.model.declared_parameters
+    undetermined = [n for n in undetermined if n in declared and not declared[n].per_experiment]
+    if fit.status == "unidentifiable" and undetermined:
+        fixed = {n: replace(declared[n], start=fit.parameters[n].value, fixed=True) for n in undetermined}
+        again = _estimated(fit, fit.model.with_parameters(fixed), start=fit)
+        if again is not None:
+            which = ", ".join(undetermined)
+            return Restart(
+                again, f"{status}; the model was diagnosed with {which} fixed, which the data do not determine."
+            )
+    pieces, length = fitted_to_segments(Refit((), fit))
+    if pieces is not None:
+        near = pieces.fit
+        again = _estimated(fit, fit.model, start=values_of(near))
+        if again is not None:
+            return Restart(
+                again,
+                f"{status}; begun again with the parameters that short segments of the records determine it converged, "
+                "and that fit was diagnosed.",
+            )
+        segments = Segments.of(pieces, length, validation)
+        return Restart(near, f"{status}. Over short segments, each with its own first states, it converged.", segments)
+    return Restart(
+        None,
+        f"{status}, and neither from the measured path nor over short segments of the records does an estimation "
+        "converge. Residuals away from an optimum may be those of wrong parameters as well as of a wrong model, so "
+        "that no cause can be named. Check units, signs, start values, bounds, and the records for biases and faults",
+    )
+
+
+def _estimated(fit: FitResult, model: Model, start: FitResult | dict[str, float] | None = None) -> FitResult | None:
+    """Return an estimation from the same records that ended at an optimum; None else."""
+    check_time()
+    solver = Newton(max_iterations=_ITERATIONS, time_limit=max(_SECONDS, _TIMES * fit.time))
+    try:
+        found = estimate(model, dataset(fit), noise=fit.noise, start=start, solver=solver)
+    except (PhugoidError, np.linalg.LinAlgError):
+        return None
+    if found.status == "interrupted":
+        raise KeyboardInterrupt
+    return found if found.status in ENDED_WELL else None
+
+
+_Array = NDArray[np.float64]
+
+# Samples of a block: odd, so that its middle is a sample. Fewer than the least are not worth another estimation.
+_LEAST, _MOST = 3, 201
+# Samples that are left of all records, at least.
+_SAMPLES_LEFT = 600
+# RMS of what a block's mean differs from the motion in its middle, in standard deviations of that mean.
+_BIAS = 0.1
+# Power of the residuals at a frequency that is lost, over that about the highest which is left: of white noise it is 1,
+# and a mode of the vehicle stands out. The spectrum is averaged over so many segments.
+_PEAK, _AVERAGED = 4.0, 8
+# Part of an input's range by which a sample may be off the straight line through its neighbours: else it bends there.
+_BEND = 0.01
+# Part of the samples of an output that may be missing.
+_MISSING = 0.02
+
+
+@dataclass(frozen=True)
+class Thinned:
+    """The fit to thinned records, validation records likewise, the samples of a block, and the rate left, in Hz."""
+
+    base: Refit
+    validation: Sequence[Experiment]
+    factor: int
+    rate: float
+
+    @property
+    def note(self) -> str:
+        """The note for the user."""
+        return (
+            f"Nothing in the records is as quick as they were sampled: the diagnosis is of means over {self.factor} "
+            f"samples each, {self.rate:.3g} a second."
+        )
+
+
+def thinned(base: Refit, validation: Sequence[Experiment]) -> Thinned | None:
+    """Return the fit to means over blocks of samples, as long as the motion and the spectrum of the residuals allow;
+    None where blocks are not worth it, or samples are uneven or missing."""
+    data = [_assigned(e, base) for e in dataset(base.fit)]
+    step = _step(data)
+    if step is None:
+        return None
+    total = sum(e.n for e in data)
+    factor = 1
+    for k in range(_LEAST, min(_MOST, total // _SAMPLES_LEFT) + 1, 2):
+        if not _is_slow(base, data, k):
+            break
+        factor = k
+    while factor >= _LEAST and not _is_empty_above(base, factor):
+        factor -= 2
+    if factor < _LEAST:
+        return None
+    found = fitted_to(base, [_thin(e, factor) for e in data], solver=None)
+    if found is None:
+        return None
+    held_out = [_assigned(e, base) for e in validation]
+    own = _step(held_out) if held_out else None
+    others = [_thin(e, factor) for e in held_out] if own and abs(own - step) <= EVEN * step else validation
+    return Thinned(found, others, factor, 1.0 / (factor * step))
+
+
+def _assigned(e: Experiment, base: Refit) -> Experiment:
+    """Return a record whose columns are assigned as the model takes them; with signals and mesh as they are."""
+    model = base.fit.model
+    inputs = {n: e.input(n) for n in model.input_names}
+    outputs = {n: e.output(n) for n in model.output_names}
+    kinds = {n: e.interpolation_of(n) for n in inputs}
+    found = Experiment(e.t, inputs, outputs, name=e.name, interpolation=kinds, units=e.units)
+    signals = {n: s for n in inputs if (s := e.signal(n)) is not None}
+    return found._sampled(signals, e.mesh_times)
+
+
+def _step(data: Sequence[Experiment]) -> float | None:
+    """Return the interval between samples, s; None where that differs, or outputs are missing at many."""
+    steps = np.concatenate([np.diff(e.t) for e in data])
+    step = float(np.median(steps))
+    even = bool(np.abs(steps - step).max() <= EVEN * step)
+    complete = all(np.mean(~np.isfinite(y)) <= _MISSING for e in data for y in e.outputs.values())
+    own = any(e.signal(n) is not None for e in data for n in e.inputs) or any(e.mesh_times is not None for e in data)
+    return step if even and complete and not own and all(e.n > 2 * _LEAST for e in data) else None
+
+
+def _means(y: _Array, k: int) -> _Array:
+    """Return the means over blocks of k samples, without those that are left over."""
+    return np.asarray(y[: y.size // k * k].reshape(-1, k).mean(axis=1))
+
+
+def _middles(y: _Array, k: int) -> _Array:
+    return y[k // 2 : y.size // k * k : k]
+
+
+def _bends(e: Experiment) -> NDArray[np.bool_]:
+    """Mark the samples (N,) at which an input bends or jumps."""
+    found = np.zeros(e.n, dtype=bool)
+    for u in e.inputs.values():
+        off = np.abs(u[1:-1] - 0.5 * (u[:-2] + u[2:]))
+        found[1:-1] |= off > _BEND * max(float(np.ptp(u)), 1e-300)
+    return found
+
+
+def _is_slow(base: Refit, data: Sequence[Experiment], k: int) -> bool:
+    """Tell whether the fitted outputs hardly move within a block, beside the noise of its mean; but for blocks in which
+    an input jumps."""
+    filter = base.own.filter
+    assert isinstance(filter, Whitening)  # channel by channel
+    for name, channel in zip(base.linear.model.output_names, filter.channels, strict=True):
+        off = []
+        for record, e in zip(base.fit.records, data, strict=True):
+            y = np.interp(e.t, record.t, record.outputs[name])
+            own = _means(y, k) - _middles(y, k)
+            off.append(own[_means(_bends(e).astype(float), k) == 0.0])
+        every = np.concatenate(off)
+        if not every.size or float(np.mean(every**2)) * k > _BIAS**2 * channel.power:
+            return False
+    return True
+
+
+def _is_empty_above(base: Refit, k: int) -> bool:
+    """Tell whether the residuals' spectrum has no peak above the frequencies that blocks of k samples leave."""
+    from scipy.signal import welch
+
+    for name in base.linear.model.output_names:
+        for record in base.fit.records:
+            r = record.residuals[name]
+            r = r[np.isfinite(r)]
+            f, power = welch(r, nperseg=max(2 * r.size // (_AVERAGED + 1), 8), detrend="linear")
+            highest = 0.5 / k
+            near, above = power[(f > 0.5 * highest) & (f <= highest)], power[f > highest]
+            if near.size and above.size and float(above.max()) > _PEAK * float(np.mean(near)):
+                return False
+    return True
+
+
+def _thin(e: Experiment, k: int) -> Experiment:
+    """Return a record of means over k samples at their middles. The first and the last time stay, without outputs, so
+    that states there are what they were; and so do times at which an input bends, within the mesh."""
+    bends = _bends(e)
+    middles = _middles(e.t, k)
+    t = np.concatenate([e.t[:1], middles, e.t[-1:]])
+    # Where an input jumps the outputs may, too, and a mean says nothing of the middle.
+    clear = _means(bends.astype(float), k) == 0.0
+    outputs = {}
+    for name, y in e.outputs.items():
+        # Rounded samples stay so: rounding is no noise, and means would hide it.
+        own = _middles(y, k) if resolution_of([y]) else _means(y, k)
+        outputs[name] = np.concatenate([[np.nan], np.where(clear, own, np.nan), [np.nan]])
+    # Many bends are noise of the record, which has a mean as the outputs have.
+    noisy = bends.sum() > middles.size
+    signals: dict[str, Signal] = {}
+    inputs = {}
+    for name, u in e.inputs.items():
+        held = e.interpolation_of(name) == "hold"
+        if noisy and not held:
+            inputs[name] = np.concatenate([u[:1], _means(u, k), u[-1:]])
+        else:
+            inputs[name] = np.concatenate([u[:1], _middles(u, k), u[-1:]])
+            signals[name] = e.t, u, 0.0, 0
+    mesh = t if noisy else np.unique(np.concatenate([t, e.t[bends]]))
+    found = Experiment(t, inputs, outputs, name=e.name, interpolation=e.interpolation, units=e.units)
+    return found._sampled(signals, mesh)

@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from numbers import Real
 from typing import Any
 
 import phugoid._core as _core
 
-from ..checks import whole
-from ..data.experiment import Experiment
-from ..errors import OptionError, did_you_mean
-from ..modelling.model import Model
-from .collocation import records_of
+from .data.experiment import Experiment
+from .errors import OptionError, check_time_limit, did_you_mean, whole
+from .modelling.model import Model
+from .transcription import records_of
 
-__all__ = ["FEWEST", "FilterError"]
+__all__ = [
+    "FEWEST",
+    "FilterError",
+]
+
 
 # Runge-Kutta steps between samples, and terms of the noise there, to begin with.
 FEWEST = (1, 2)
@@ -76,9 +78,7 @@ class FilterError:
             if chosen and value is None:
                 continue
             whole(f"FilterError: {name}", value, 1)
-        limit = self.time_limit
-        if limit is not None and not (isinstance(limit, Real) and not isinstance(limit, bool) and float(limit) >= 0):
-            raise OptionError(f"FilterError: time_limit is a number of seconds from 0, or None, not {limit!r}")
+        check_time_limit("FilterError", self.time_limit)
         if not isinstance(self.output_error, bool):
             raise OptionError(f"FilterError: output_error is True or False, not {self.output_error!r}")
         if self.initial is not None and not isinstance(self.initial, Mapping):

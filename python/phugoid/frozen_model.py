@@ -10,19 +10,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._core import Expr
-from ..data.experiment import Experiment
-from ..errors import OptionError
-from ..fit_result import FitResult
-from ..modelling.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
-from ..modelling.model import Model
-from ..modelling.noise import Gaussian, Noise
-from ..parameters import Estimates, Parameter
-from ..transcription.collocation import Collocation
-from ..transcription.filter_error import FilterError
-from ..transcription.shooting import SingleShooting, Transcription
+from ._core import Expr
+from .data.experiment import Experiment
+from .errors import OptionError
+from .filter_error import FilterError
+from .fit_result import FitResult
+from .modelling.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
+from .modelling.model import Model
+from .modelling.noise import Gaussian, Noise
+from .parameters import Estimates, Parameter
+from .transcription import Collocation, SingleShooting, Transcription
 
-__all__ = ["biases", "estimates_of", "freed_by_default", "freeze_model", "freeze_noise", "mesh_for"]
+__all__ = [
+    "biases",
+    "estimates_of",
+    "freed_by_default",
+    "freeze_model",
+    "freeze_noise",
+    "mesh_for",
+]
 
 
 def biases(model: Model) -> tuple[str, ...]:

@@ -1,1 +1,0 @@
-"""Transcriptions of an estimation problem: collocation, shooting, the filter-error method."""

@@ -1,1 +1,0 @@
-"""Validation of a fit on data that it was not made on."""

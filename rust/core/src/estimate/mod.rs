@@ -20,6 +20,7 @@ mod segments;
 mod smoothing;
 mod start;
 mod transcription;
+mod unmeasured;
 
 pub use crate::measured::Measured;
 pub use earlier::{Earlier, Multipliers, Path};

@@ -1,8 +1,10 @@
 //! From a model and records to a fit: the problem put together, solved, and told in the user's names.
 
 mod delays;
+mod draws;
 mod earlier;
 mod fit;
+mod injection;
 mod integration;
 mod judge;
 

@@ -33,11 +33,14 @@ const LEAST: f64 = 0.5;
 const SHORT: f64 = 0.95;
 /// A step to a smaller gain that loses more than this in log-likelihood for each measured value leads astray.
 const LOSS: f64 = 0.15;
-/// Ways from other parameters, restarts in a row without a gain at the first gain, and those at another that is left with
-/// difficulty.
-const WAYS: usize = 2;
-const RESTARTS: usize = 40;
+/// Searches at the first gain from other parameters; rounds of each, after which the way to smaller gains is tried; and restarts in a
+/// row without an increase that end a round, or a search at another gain that is left with difficulty.
+const SEARCHES: usize = 2;
+const ROUNDS: usize = 6;
+const RESTARTS: usize = 10;
 const FEW: usize = 4;
+/// A round that raises the log-likelihood by less than this is the last one.
+const RAISED: f64 = 0.1;
 /// Most iterations on the last mesh of a run: the optimum at one gain need not be known exactly.
 const ITERATIONS: usize = 25;
 
@@ -79,14 +82,37 @@ impl Estimation<'_> {
         search: &mut Search<'_>,
         watch: &mut Watch<'_>,
     ) -> Result<(), Error> {
+        let Some(injected) = self.injected(injection, FIRST) else { return Ok(()) };
+        let within = self.within(&injected);
+        let loss = LOSS * injection.values as f64;
         let mut start = search.values.clone();
-        for _ in 0..WAYS {
-            if let Some(end) = self.through_gains(injection, &start, search, watch)? {
-                let likelihood = self.likelihood(&end);
-                if likelihood > search.likelihood {
-                    search.take(end, likelihood);
+        for _ in 0..SEARCHES {
+            let Some(mut first) = within.search_from(&start, true, watch)? else { break };
+            let mut before = f64::NEG_INFINITY;
+            for _ in 0..ROUNDS {
+                first.without = 0;
+                while first.without < RESTARTS && !first.is_stopped() {
+                    within.restart(&mut first, watch)?;
+                }
+                if first.is_stopped() || first.likelihood < before + RAISED {
+                    break;
+                }
+                before = first.likelihood;
+                if before < search.likelihood + loss {
+                    continue; // even over so short a time it predicts no better than the model without injection
+                }
+                let from = (first.best(), before);
+                if let Some(end) = self.through_gains(injection, from, search, watch)? {
+                    let likelihood = self.likelihood(&end);
+                    if likelihood > search.likelihood {
+                        search.take(end, likelihood);
+                    }
+                    if !injection.may_improve(&search.fit) {
+                        break;
+                    }
                 }
             }
+            search.count(first.iterations, first.time);
             if search.is_stopped() || !injection.may_improve(&search.fit) {
                 break;
             }
@@ -95,23 +121,24 @@ impl Estimation<'_> {
         Ok(())
     }
 
-    /// Returns the end of a path of estimates from a large gain to none; none where there is no such path.
+    /// The estimation of a model with injected outputs.
+    fn within<'b>(&'b self, injected: &'b Injected) -> Estimation<'b> {
+        let max_iterations = self.solver.max_iterations.min(ITERATIONS);
+        let solver = Settings { max_iterations, ..self.solver.clone() };
+        let Injected { model, experiments } = injected;
+        Estimation { model, experiments, solver, ..self.clone() }
+    }
+
+    /// Returns the end of a path of estimates from those at the first gain to none; none where there is no such path.
     fn through_gains(
         &self,
         injection: &Injection,
-        start: &Values,
+        (mut at, mut likelihood): (Values, f64),
         search: &mut Search<'_>,
         watch: &mut Watch<'_>,
     ) -> Result<Option<Fit>, Error> {
-        let mut gain = FIRST;
-        let Some(injected) = self.injected(injection, gain) else { return Ok(None) };
-        let Some((mut at, mut likelihood)) = self.climb(&injected, start, RESTARTS, search, watch)? else {
-            return Ok(None);
-        };
         let loss = LOSS * injection.values as f64;
-        if likelihood < search.likelihood + loss {
-            return Ok(None); // even over so short a time it predicts no better than the model without injection
-        }
+        let mut gain = FIRST;
         let mut factor = FACTOR;
         let mut climbed = false;
         while gain > 0.0 {
@@ -154,18 +181,13 @@ impl Estimation<'_> {
         outer: &mut Search<'_>,
         watch: &mut Watch<'_>,
     ) -> Result<Option<(Values, f64)>, Error> {
-        let Injected { model, experiments } = injected;
-        let max_iterations = self.solver.max_iterations.min(ITERATIONS);
-        let solver = Settings { max_iterations, ..self.solver.clone() };
-        let within = Estimation { model, experiments, solver, ..self.clone() };
-        let Some(mut search) = within.search_from(from, restarts > 0, watch)? else { return Ok(None) };
+        let within = self.within(injected);
+        let Some(mut search) = within.search_from(from, false, watch)? else { return Ok(None) };
         while search.without < restarts && !search.is_stopped() {
             within.restart(&mut search, watch)?;
         }
         outer.count(search.iterations, search.time);
-        let named = |name: &str| search.fit.parameter(name).map(|e| e.value);
-        let values = from.iter().map(|(name, v)| (name.clone(), named(name).unwrap_or(*v))).collect();
-        Ok(Some((values, search.likelihood)))
+        Ok(Some((search.best(), search.likelihood)))
     }
 
     /// Returns the model in which the states that an output depends on follow its measurements with a rate of `gain` over the

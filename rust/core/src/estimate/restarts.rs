@@ -117,8 +117,7 @@ impl Estimation<'_> {
     pub(super) fn restart(&self, search: &mut Search<'_>, watch: &mut Watch<'_>) -> Result<(), Error> {
         let accuracy = self.accuracy();
         let fit = &search.fit;
-        let of_fit = |v: &(String, f64)| (v.0.clone(), fit.parameter(&v.0).map_or(v.1, |e| e.value));
-        let at: Values = search.values.iter().map(of_fit).collect();
+        let at = search.best();
         // Of which the data say nothing at this end, or no more than how large they are.
         let undetermined = |name: &str| {
             fit.parameter(name).is_some_and(|e| e.std_error.is_nan() || e.std_error >= e.value.abs())
@@ -195,6 +194,12 @@ impl Search<'_> {
     /// Whether the time is over, or the user has stopped it.
     pub(super) fn is_stopped(&self) -> bool {
         self.fit.status.was_stopped() || current().stops()
+    }
+
+    /// Returns the parameters of the best end.
+    pub(super) fn best(&self) -> Values {
+        let of_fit = |v: &(String, f64)| (v.0.clone(), self.fit.parameter(&v.0).map_or(v.1, |e| e.value));
+        self.values.iter().map(of_fit).collect()
     }
 
     /// Adds the effort of other runs.

@@ -13,6 +13,7 @@ use faer::prelude::{ReborrowMut, default};
 use faer::{MatMut, MatRef, Par};
 
 use crate::interrupt::current;
+use crate::simd::kernel;
 
 /// Rows from which a matrix is factorised by faer.
 const LARGE: usize = 24;
@@ -271,43 +272,45 @@ pub fn lower(w: &[f64], n: usize) -> impl Iterator<Item = f64> + '_ {
     (0..n).flat_map(move |i| w[i * n..=i * n + i].iter().copied())
 }
 
-/// Solves A X = B by elimination with row exchanges, A and B row-major, B with so many columns; X replaces B. Whether A is
-/// regular.
-pub fn eliminate(a: &mut [f64], b: &mut [f64], width: usize) -> bool {
-    let n = b.len() / width.max(1);
-    for k in 0..n {
-        let mut pivot = k;
-        for i in k + 1..n {
-            if a[i * n + k].abs() > a[pivot * n + k].abs() {
-                pivot = i;
+kernel! {
+    /// Solves A X = B by elimination with row exchanges, A and B row-major, B with so many columns; X replaces B. Whether A is
+    /// regular.
+    pub fn eliminate(a: &mut [f64], b: &mut [f64], width: usize) -> bool {
+        let n = b.len() / width.max(1);
+        for k in 0..n {
+            let mut pivot = k;
+            for i in k + 1..n {
+                if a[i * n + k].abs() > a[pivot * n + k].abs() {
+                    pivot = i;
+                }
+            }
+            let size = a[pivot * n + k].abs();
+            if !(size > 0.0 && size.is_finite()) {
+                return false;
+            }
+            if pivot != k {
+                (k..n).for_each(|j| a.swap(pivot * n + j, k * n + j));
+                (0..width).for_each(|j| b.swap(pivot * width + j, k * width + j));
+            }
+            let (above, below) = a.split_at_mut((k + 1) * n);
+            let (b_above, b_below) = b.split_at_mut((k + 1) * width);
+            let (row, b_row) = (&above[k * n..], &b_above[k * width..]);
+            for (to, b_to) in below.chunks_exact_mut(n).zip(b_below.chunks_exact_mut(width)) {
+                let part = to[k] / row[k];
+                if part != 0.0 {
+                    to[k + 1..].iter_mut().zip(&row[k + 1..]).for_each(|(t, r)| *t -= part * r);
+                    b_to.iter_mut().zip(b_row).for_each(|(t, r)| *t -= part * r);
+                }
             }
         }
-        let size = a[pivot * n + k].abs();
-        if !(size > 0.0 && size.is_finite()) {
-            return false;
-        }
-        if pivot != k {
-            (k..n).for_each(|j| a.swap(pivot * n + j, k * n + j));
-            (0..width).for_each(|j| b.swap(pivot * width + j, k * width + j));
-        }
-        let (above, below) = a.split_at_mut((k + 1) * n);
-        let (b_above, b_below) = b.split_at_mut((k + 1) * width);
-        let (row, b_row) = (&above[k * n..], &b_above[k * width..]);
-        for (to, b_to) in below.chunks_exact_mut(n).zip(b_below.chunks_exact_mut(width)) {
-            let part = to[k] / row[k];
-            if part != 0.0 {
-                to[k + 1..].iter_mut().zip(&row[k + 1..]).for_each(|(t, r)| *t -= part * r);
-                b_to.iter_mut().zip(b_row).for_each(|(t, r)| *t -= part * r);
+        for k in (0..n).rev() {
+            let (above, below) = b.split_at_mut((k + 1) * width);
+            let to = &mut above[k * width..];
+            for (from, x) in a[k * n + k + 1..(k + 1) * n].iter().zip(below.chunks_exact(width)) {
+                to.iter_mut().zip(x).for_each(|(t, x)| *t -= from * x);
             }
+            to.iter_mut().for_each(|t| *t /= a[k * n + k]);
         }
+        b.iter().all(|x| x.is_finite())
     }
-    for k in (0..n).rev() {
-        let (above, below) = b.split_at_mut((k + 1) * width);
-        let to = &mut above[k * width..];
-        for (from, x) in a[k * n + k + 1..(k + 1) * n].iter().zip(below.chunks_exact(width)) {
-            to.iter_mut().zip(x).for_each(|(t, x)| *t -= from * x);
-        }
-        to.iter_mut().for_each(|t| *t /= a[k * n + k]);
-    }
-    b.iter().all(|x| x.is_finite())
 }

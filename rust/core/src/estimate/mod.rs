@@ -1,8 +1,10 @@
 //! From a model and records to a fit: the problem put together, solved, and told in the user's names.
 
 mod delays;
+mod draws;
 mod earlier;
 mod fit;
+mod injection;
 mod integration;
 mod judge;
 
@@ -20,6 +22,7 @@ mod segments;
 mod smoothing;
 mod start;
 mod transcription;
+mod unmeasured;
 
 pub use crate::measured::Measured;
 pub use earlier::{Earlier, Multipliers, Path};

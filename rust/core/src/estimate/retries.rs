@@ -156,7 +156,7 @@ impl Fit {
     }
 
     /// The coefficient of determination of an output, about the mean of each record.
-    fn r_squared(&self, output: usize) -> Option<f64> {
+    pub(super) fn r_squared(&self, output: usize) -> Option<f64> {
         let (mut squares, mut about) = (0.0, 0.0);
         for record in &self.records {
             let measured = |(y, r): (&f64, &f64)| Some((y + r, *r)).filter(|m| m.0.is_finite());

@@ -75,7 +75,7 @@ impl Estimation<'_> {
     pub(super) fn solve_on_mesh(&self, watch: &mut Watch<'_>) -> Result<Fit, Error> {
         if self.follows_motion() {
             self.checked_noise()?;
-            if let Some(fit) = self.search_restarts(watch)? {
+            if let Some(fit) = self.search_at_measurements(watch)? {
                 return Ok(fit);
             }
         }

@@ -6,6 +6,7 @@ use super::iterate::Iterate;
 use super::program::Program;
 use super::restoration::Restoration;
 use crate::linalg::Entries;
+use crate::simd::kernel;
 
 /// Most free variables.
 const MOST: usize = 300;
@@ -109,29 +110,9 @@ impl Reduced {
 
     /// ZᵀHZ.
     fn project(&mut self, program: &Program<'_>, entries: Entries<'_>) {
-        let p = self.free.len();
-        self.product.fill(0.0);
         let s = program.nlp.hessian_structure();
-        for ((&r, &c), h) in s.rows.iter().zip(&s.columns).zip(entries.hessian) {
-            let (r, c) = (r as usize, c as usize);
-            if *h == 0.0 {
-                continue;
-            }
-            for k in 0..p {
-                self.product[r * p + k] += h * self.z[c * p + k];
-            }
-            if r != c {
-                for k in 0..p {
-                    self.product[c * p + k] += h * self.z[r * p + k];
-                }
-            }
-        }
-        self.hessian.fill(0.0);
-        for (z, v) in self.z.chunks_exact(p).zip(self.product.chunks_exact(p)) {
-            for (a, z) in z.iter().enumerate().filter(|z| *z.1 != 0.0) {
-                self.hessian[a * p..][..p].iter_mut().zip(v).for_each(|(h, v)| *h += z * v);
-            }
-        }
+        multiply(self.free.len(), (&s.rows, &s.columns, entries.hessian), &self.z, &mut self.product);
+        multiply_transposed(self.free.len(), &self.z, &self.product, &mut self.hessian);
     }
 
     /// The step that minimises the quadratic model within bounds and a radius (Moré and Sorensen, 1983). Variables that the
@@ -224,5 +205,36 @@ impl Reduced {
             found = at(above);
         }
         &eigen.eigenvectors * found
+    }
+}
+
+kernel! {
+    /// Sets `product` to HZ, both Z and HZ of p columns, from rows, columns and values of one triangle of H.
+    fn multiply(p: usize, h: (&[u32], &[u32], &[f64]), z: &[f64], product: &mut [f64]) {
+        product.fill(0.0);
+        for ((&r, &c), h) in h.0.iter().zip(h.1).zip(h.2) {
+            let (r, c) = (r as usize, c as usize);
+            if *h == 0.0 {
+                continue;
+            }
+            let (to, from) = (&mut product[r * p..][..p], &z[c * p..][..p]);
+            to.iter_mut().zip(from).for_each(|(to, z)| *to += h * z);
+            if r != c {
+                let (to, from) = (&mut product[c * p..][..p], &z[r * p..][..p]);
+                to.iter_mut().zip(from).for_each(|(to, z)| *to += h * z);
+            }
+        }
+    }
+}
+
+kernel! {
+    /// Sets `hessian` to ZᵀV, both of p columns. Rows of V without entries, as those of states that nothing measures, are left out.
+    fn multiply_transposed(p: usize, z: &[f64], v: &[f64], hessian: &mut [f64]) {
+        hessian.fill(0.0);
+        for (z, v) in z.chunks_exact(p).zip(v.chunks_exact(p)).filter(|(_, v)| v.iter().any(|v| *v != 0.0)) {
+            for (a, z) in z.iter().enumerate().filter(|z| *z.1 != 0.0) {
+                hessian[a * p..][..p].iter_mut().zip(v).for_each(|(h, v)| *h += z * v);
+            }
+        }
     }
 }

@@ -10,6 +10,7 @@ use std::ops::Range;
 
 use super::program::Program;
 use crate::dense::{eliminate, largest};
+use crate::simd::kernel;
 
 /// Defects below this part of the unit of their state are none.
 const SATISFIED: f64 = 1e-8;
@@ -215,11 +216,8 @@ impl Restoration {
             block.fill(jacobian, &mut self.matrix, false);
             self.right.clear();
             self.right.resize(n * width, 0.0);
-            for &BlockEntry { entry, row: r, column } in block.others.iter().chain(&block.free) {
-                let from = &z[column * width..][..width];
-                let to = &mut self.right[r * width..][..width];
-                to.iter_mut().zip(from).for_each(|(t, z)| *t -= jacobian[entry] * z);
-            }
+            subtract(&block.others, jacobian, z, width, &mut self.right);
+            subtract(&block.free, jacobian, z, width, &mut self.right);
             if !eliminate(&mut self.matrix, &mut self.right, width) {
                 return false;
             }
@@ -459,5 +457,15 @@ impl Restoration {
             self.c[row] / least.max(self.rounding[row])
         };
         largest(block.rows.iter().zip(&block.columns).map(one))
+    }
+}
+
+kernel! {
+    /// Subtracts the product of entries of the Jacobian and the rows of Z, of so many columns.
+    fn subtract(entries: &[BlockEntry], jacobian: &[f64], z: &[f64], width: usize, right: &mut [f64]) {
+        for &BlockEntry { entry, row, column } in entries {
+            let (from, to) = (&z[column * width..][..width], &mut right[row * width..][..width]);
+            to.iter_mut().zip(from).for_each(|(t, z)| *t -= jacobian[entry] * z);
+        }
     }
 }

@@ -1,0 +1,261 @@
+//! Output injection: estimates of a model whose states are driven towards the measurements, with a gain that falls to zero.
+//!
+//! A model that oscillates with another period than the data explains them no better than one at rest: the likelihood of the
+//! output error has an optimum for each number of periods by which the two differ, and the optimum at rest attracts most
+//! starts. With a term proportional to the output error in the state equations, ẋ = f(x, u, θ) + K (z - g(x, u, θ)), outputs
+//! are predicted over the short time 1/K only, and the prediction error has few optima (Ljung, *System Identification*, section
+//! 7.3, where K is that of an observer). From an optimum for a large gain the way leads through falling gains to that of the
+//! model as it is (Abarbanel, Creveling, Farsian and Kostuk 2009; Vyasarayani, Uchida, Carvalho and McPhee 2011).
+
+use super::Estimation;
+use super::fit::Fit;
+use super::motion::{SEARCH, Values};
+use super::restarts::Search;
+use super::run::Watch;
+use crate::error::Error;
+use crate::experiment::{Experiment, Signal};
+use crate::expr::Expr;
+use crate::interpolate::Interpolation;
+use crate::interrupt::current;
+use crate::model::Model;
+use crate::solver::Settings;
+
+/// An output is densely sampled where it has so many samples in each record that measures it.
+const DENSE: usize = 20;
+/// Where the coefficient of determination of such an output is below this, much of it is unexplained.
+const EXPLAINED: f64 = 0.8;
+/// The first gain, in units of one over the sampling interval; smaller ones than the last are none.
+const FIRST: f64 = 1.0;
+const LAST: f64 = 0.02;
+/// Factors from a gain to the next: the first one, the least, and the one beyond which steps are too short.
+const FACTOR: f64 = 0.7;
+const LEAST: f64 = 0.5;
+const SHORT: f64 = 0.95;
+/// A step to a smaller gain that loses more than this in log-likelihood for each measured value leads astray.
+const LOSS: f64 = 0.15;
+/// Searches at the first gain from other parameters; rounds of each, after which the way to smaller gains is tried; and restarts in a
+/// row without an increase that end a round, or a search at another gain that is left with difficulty.
+const SEARCHES: usize = 2;
+const ROUNDS: usize = 6;
+const RESTARTS: usize = 10;
+const FEW: usize = 4;
+/// A round that raises the log-likelihood by less than this is the last one.
+const RAISED: f64 = 0.1;
+/// Most iterations on the last mesh of a run: the optimum at one gain need not be known exactly.
+const ITERATIONS: usize = 25;
+
+/// What a model and its records need for output injection.
+pub(super) struct Injection {
+    /// Numbers of the outputs that are injected, and their sampling intervals.
+    outputs: Vec<(usize, f64)>,
+    /// Measured values of all outputs.
+    values: usize,
+}
+
+/// A model with injected outputs, and records with these as inputs.
+struct Injected {
+    model: Model,
+    experiments: Vec<Experiment>,
+}
+
+impl Estimation<'_> {
+    /// Returns what output injection needs; none where no output is densely sampled, or inputs or outputs are delayed.
+    pub(super) fn injection(&self) -> Option<Injection> {
+        if !self.model.delays.is_empty() {
+            return None;
+        }
+        let measured = |c: usize| self.experiments.iter().map(move |run| sampling(run, c));
+        let interval = |c: usize| {
+            let found: Vec<(usize, f64)> = measured(c).filter(|s| s.0 > 0).collect();
+            let dense = !found.is_empty() && found.iter().all(|s| s.0 >= DENSE);
+            dense.then(|| (c, found.iter().map(|s| s.1).fold(0.0, f64::max)))
+        };
+        let outputs: Vec<(usize, f64)> = (0..self.model.outputs.len()).filter_map(interval).collect();
+        let values = (0..self.model.outputs.len()).flat_map(measured).map(|s| s.0).sum();
+        (!outputs.is_empty()).then_some(Injection { outputs, values })
+    }
+
+    /// Follows estimates with falling gains from several starts, and takes the end into the search where it is better.
+    pub(super) fn follow_injection(
+        &self,
+        injection: &Injection,
+        search: &mut Search<'_>,
+        watch: &mut Watch<'_>,
+    ) -> Result<(), Error> {
+        let Some(injected) = self.injected(injection, FIRST) else { return Ok(()) };
+        let within = self.within(&injected);
+        let loss = LOSS * injection.values as f64;
+        let mut start = search.values.clone();
+        for _ in 0..SEARCHES {
+            let Some(mut first) = within.search_from(&start, true, watch)? else { break };
+            let mut before = f64::NEG_INFINITY;
+            for _ in 0..ROUNDS {
+                first.without = 0;
+                while first.without < RESTARTS && !first.is_stopped() {
+                    within.restart(&mut first, watch)?;
+                }
+                if first.is_stopped() || first.likelihood < before + RAISED {
+                    break;
+                }
+                before = first.likelihood;
+                if before < search.likelihood + loss {
+                    continue; // even over so short a time it predicts no better than the model without injection
+                }
+                let from = (first.best(), before);
+                if let Some(end) = self.through_gains(injection, from, search, watch)? {
+                    let likelihood = self.likelihood(&end);
+                    if likelihood > search.likelihood {
+                        search.take(end, likelihood);
+                    }
+                    if !injection.may_improve(&search.fit) {
+                        break;
+                    }
+                }
+            }
+            search.count(first.iterations, first.time);
+            if search.is_stopped() || !injection.may_improve(&search.fit) {
+                break;
+            }
+            start = search.draws.all(&start);
+        }
+        Ok(())
+    }
+
+    /// The estimation of a model with injected outputs.
+    fn within<'b>(&'b self, injected: &'b Injected) -> Estimation<'b> {
+        let max_iterations = self.solver.max_iterations.min(ITERATIONS);
+        let solver = Settings { max_iterations, ..self.solver.clone() };
+        let Injected { model, experiments } = injected;
+        Estimation { model, experiments, solver, ..self.clone() }
+    }
+
+    /// Returns the end of a path of estimates from those at the first gain to none; none where there is no such path.
+    fn through_gains(
+        &self,
+        injection: &Injection,
+        (mut at, mut likelihood): (Values, f64),
+        search: &mut Search<'_>,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<Fit>, Error> {
+        let loss = LOSS * injection.values as f64;
+        let mut gain = FIRST;
+        let mut factor = FACTOR;
+        let mut climbed = false;
+        while gain > 0.0 {
+            if current().stops() {
+                return Ok(None);
+            }
+            let next = if factor * gain > LAST { factor * gain } else { 0.0 };
+            let Some(injected) = self.injected(injection, next) else { return Ok(None) };
+            let reached = self.climb(&injected, &at, 0, search, watch)?;
+            let close = reached.as_ref().is_some_and(|r| r.1 >= likelihood - loss);
+            match reached {
+                Some((values, reached)) if close || factor > SHORT => {
+                    (at, likelihood, gain, climbed) = (values, reached, next, false);
+                    factor = (factor * factor.sqrt()).clamp(LEAST, FACTOR);
+                }
+                None if factor > SHORT => return Ok(None),
+                _ => {
+                    if !climbed && let Some(injected) = self.injected(injection, gain) {
+                        // A better optimum at this gain may lead on.
+                        let higher = self.climb(&injected, &at, FEW, search, watch)?;
+                        if let Some((values, reached)) = higher.filter(|h| h.1 > likelihood) {
+                            (at, likelihood) = (values, reached);
+                        }
+                    }
+                    climbed = true;
+                    factor = factor.sqrt();
+                }
+            }
+        }
+        let end = self.along_the_motion(&at, f64::NEG_INFINITY, SEARCH, watch)?;
+        Ok(end.inspect(|end| search.count(end.iterations, end.solution.time)))
+    }
+
+    /// Returns the parameters of the best end of a search with injected outputs, and its log-likelihood.
+    fn climb(
+        &self,
+        injected: &Injected,
+        from: &Values,
+        restarts: usize,
+        outer: &mut Search<'_>,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<(Values, f64)>, Error> {
+        let within = self.within(injected);
+        let Some(mut search) = within.search_from(from, false, watch)? else { return Ok(None) };
+        while search.without < restarts && !search.is_stopped() {
+            within.restart(&mut search, watch)?;
+        }
+        outer.count(search.iterations, search.time);
+        Ok(Some((search.best(), search.likelihood)))
+    }
+
+    /// Returns the model in which the states that an output depends on follow its measurements with a rate of `gain` over the
+    /// sampling interval, and the records with these measurements as held inputs. None where a name is taken.
+    ///
+    /// The output error e of an output g enters each state in proportion to ∂g/∂x: by K e ∂g/∂x / |∂g/∂x|², so that it
+    /// decays by itself as K.
+    fn injected(&self, injection: &Injection, gain: f64) -> Option<Injected> {
+        let (mut model, mut experiments) = (self.model.clone(), self.experiments.to_vec());
+        if gain == 0.0 {
+            return Some(Injected { model, experiments });
+        }
+        let (_, outputs) = self.model.expanded();
+        for &(c, interval) in &injection.outputs {
+            let name = &self.model.outputs[c].name;
+            let (measured, present) = (format!("measured_{name}"), format!("present_{name}"));
+            let z = model.input(&measured, "").ok()?;
+            let present = model.input(&present, "").ok()?;
+            let slopes: Vec<(&str, Expr)> = self
+                .model
+                .states
+                .iter()
+                .map(|s| (s.name.as_str(), outputs[c].derivative(&s.name)))
+                .filter(|(_, slope)| slope.as_constant() != Some(0.0))
+                .collect();
+            let square = slopes.iter().map(|(_, d)| d * d).reduce(|sum, d| sum + d)?;
+            let error = (gain / interval) * present * (z - &outputs[c]) / square;
+            for (state, slope) in slopes {
+                let equation = model.dynamics.iter_mut().find(|e| e.name == state)?;
+                equation.expr = (&equation.expr + slope * &error).simplified();
+            }
+            experiments.iter_mut().for_each(|run| add_measured(run, c));
+        }
+        Some(Injected { model, experiments })
+    }
+}
+
+impl Injection {
+    /// Whether much of a densely sampled output is unexplained.
+    pub fn may_improve(&self, fit: &Fit) -> bool {
+        self.outputs.iter().any(|(c, _)| !fit.feasible || fit.r_squared(*c).is_some_and(|r| r < EXPLAINED))
+    }
+}
+
+/// Returns the number of measured values of an output in a record, and the median interval between them.
+fn sampling(run: &Experiment, output: usize) -> (usize, f64) {
+    let samples = run.t.iter().zip(&run.outputs[output]).filter(|s| s.1.is_finite());
+    let times: Vec<f64> = samples.map(|s| *s.0).collect();
+    let mut intervals: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
+    intervals.sort_by(f64::total_cmp);
+    (times.len(), intervals.get(intervals.len() / 2).copied().unwrap_or(0.0))
+}
+
+/// Adds the samples of an output to the inputs of a record, each held until the next sample, and whether there is one.
+fn add_measured(run: &mut Experiment, output: usize) {
+    let measured = &run.outputs[output];
+    let value = |z: &f64| if z.is_finite() { *z } else { 0.0 };
+    let present = measured.iter().map(|z| f64::from(u8::from(z.is_finite()))).collect();
+    let channels: [Vec<f64>; 2] = [measured.iter().map(value).collect(), present];
+    run.signals.resize(run.inputs.len(), None);
+    for values in channels {
+        run.signals.push(Some(Signal {
+            t: run.t.clone(),
+            values: values.clone(),
+            delay: 0.0,
+            derivative: 0,
+            interpolation: Some(Interpolation::Hold),
+        }));
+        run.inputs.push(values);
+    }
+}

@@ -195,7 +195,7 @@ class Derivatives:
                 if symbol in e.symbols:
                     of_sensor = plain[k].diff(symbol).substitute(known) if air else 0.0
                     ask("place g", place, k, Expr(e.diff(symbol) - of_sensor))
-        self._shown = shown_by_outputs(equations, self.parameters)
+        self._shown = shown_by_outputs(late, self.parameters)
         self.n_quantities = len(quantities)
         self._compiled = CompiledExpressions(asked, self.parameters, inputs, self.states)
 

@@ -24,11 +24,13 @@ class Place:
 
     An "input" or a "parameter" stands for its symbol everywhere, an "equation" for the derivative of the state of that
     name, a "state" for what a state is in the forces, but neither in the kinematics nor at its own sensor: with wind
-    the motion through the air is another than that over ground.
+    the motion through the air is another than that over ground. What acts in an equation is ``shown`` by outputs that
+    show its rate, as a force is by an accelerometer, or not, as a term of the kinematics.
     """
 
     kind: Literal["quantity", "equation", "output", "input", "parameter", "state"]
     name: str
+    shown: bool = True
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -396,21 +397,21 @@ class Linearised:
                 answers[at], parameters[at] = self._answers(place, signals)
         return answers, parameters, groups
 
-    def answers(self, place: Place, signals: Sequence[_Array], shown: bool = True) -> _Array:
-        """Return the responses (k, n_rows) of the outputs to signals (k, points of each experiment) at a place; of what
-        acts in an equation without those that outputs show at once where it is not ``shown``."""
-        return self._answers(place, signals, shown)[0]
+    def answers(self, place: Place, signals: Sequence[_Array]) -> _Array:
+        """Return the responses (k, n_rows) of the outputs to signals (k, points of each experiment) at a place."""
+        return self._answers(place, signals)[0]
 
-    def _answers(self, place: Place, signals: Sequence[_Array], shown: bool = True) -> tuple[_Array, _Array]:
+    def _answers(self, place: Place, signals: Sequence[_Array]) -> tuple[_Array, _Array]:
         """Answers to signals at a place, (k, points) for each experiment."""
         if place.kind == "output":
             slopes = np.zeros((sum(r.mesh_t.size for r in self.inner.records), self._problem.n_states))
             direct = np.zeros(self._derivatives[2].shape)
             direct[:, self.model.output_names.index(place.name)] = 1.0
         else:
-            slopes = np.vstack([by[place].T for by in self._slopes])
-            direct = np.vstack([by[place].T for by in self._direct])
-            if place.kind == "equation" and not shown:
+            at = replace(place, shown=True)
+            slopes = np.vstack([by[at].T for by in self._slopes])
+            direct = np.vstack([by[at].T for by in self._direct])
+            if place.kind == "equation" and not place.shown:
                 direct = np.zeros_like(direct)
         of_points = np.hstack([np.take(s, at, axis=1) for s, at in zip(signals, self._places, strict=True)])
         mine = (self._problem, self._xi, self._held(), *self._derivatives)

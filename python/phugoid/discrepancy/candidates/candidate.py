@@ -284,8 +284,9 @@ class ExtensionBuilder:
         self.equations[place.kind, place.name] = Expr(e)
 
     def add(self, place: Place, e: Any) -> None:
-        """Add an expression at a place; what is added to an equation is seen by outputs that show its rate, too."""
-        shown = shown_by_outputs(self.equations, self.old.parameter_names) if place.kind == "equation" else {}
+        """Add an expression at a place; what an equation gets is in outputs that show its rate, too, if it is shown."""
+        seen = place.kind == "equation" and place.shown
+        shown = shown_by_outputs(self.equations, self.old.parameter_names) if seen else {}
         for output, multiple in shown.get(place.name, {}).items():
             key = ("output", output)
             self.equations[key] = self.equations[key] + (e if multiple == 1.0 else multiple * e)
@@ -350,6 +351,10 @@ def largest_coefficient(effect: Effect, shape: Mapping[str, float], points: Sequ
     return 2.0 * place_range(effect.place, points) / span if span > 0 else np.inf
 
 
-def with_variants(candidates: Sequence[Candidate], points: Sequence[Points]) -> list[Candidate]:
-    """Return candidates, each followed by its variants (`Candidate.variants`)."""
-    return [v for c in candidates for v in (c, *c.variants(points))]
+def with_variants(candidates: Sequence[Candidate], points: Sequence[Points], model: Model) -> list[Candidate]:
+    """Return candidates, each followed by its variants (`Candidate.variants`), and those in equations of which outputs
+    show the rates once more as what these do not show."""
+    shown = shown_by_outputs(model._right_hand_sides(), model.parameter_names)
+    found = [v for c in candidates for v in (c, *c.variants(points))]
+    inner = [c for c in found if isinstance(c, Effect) and c.place.kind == "equation" and c.place.name in shown]
+    return [*found, *(replace(c, place=replace(c.place, shown=False)) for c in inner)]

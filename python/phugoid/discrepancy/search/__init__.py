@@ -128,7 +128,9 @@ class Search:
                     # What a candidate does to first order says little of what a fit with it does.
                     following, _ = self.confirmation.accepted(current, self.refitting.tries(current, simple=True))
                 if following is None and is_structured(current, self.settings.doubt):
-                    following, _ = self.confirmation.accepted(current, self.refitting.tries(current, times=2))
+                    further, _ = self.confirmation.accepted(current, self.refitting.tries(current, times=2))
+                    # A cause is sought so far, and no trifle.
+                    following = further if further is not None and not self._is_minor(current, further) else None
                 if following is None or following.names in seen:
                     break
                 seen.add(following.names)
@@ -231,7 +233,8 @@ class Search:
             weak = [c for c in at.candidates if not assess.is_named(at, c, explained[c.name]) or self._wanders(at, c)]
             if not weak:
                 return at
-            weak.sort(key=lambda c: e.part if (e := explained[c.name]) else 0.0)
+            # Of terms that stand for each other the simpler one stays.
+            weak.sort(key=lambda c: (-complexity(c), e.part if (e := explained[c.name]) else 0.0))
             # Where one set cannot be fitted another may.
             sets = [[c for c in at.candidates if c is not w] for w in weak]
             sets.append([c for c in at.candidates if c not in weak])

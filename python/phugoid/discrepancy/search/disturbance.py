@@ -9,7 +9,7 @@ them it is, and at which place.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -180,7 +180,7 @@ def _histories(
     wider knots is known, as quick as that and quicker."""
     check_time()
     knots, step = _knots(linear.points, count)
-    answers = linear.answers(place, _signals(linear.points, knots), shown=False)
+    answers = linear.answers(replace(place, shown=False), _signals(linear.points, knots))
     if not np.any(answers):
         return []
     found, effects = [], RandomEffects(linear, answers)
@@ -225,7 +225,7 @@ def _event(linear: Linearised, of: Disturbance, noise: _Array) -> Disturbance | 
     if last - first > max(_SHORT * n, 4) or last > ends_of[record]:
         return None
     knots = np.split(of.knots, ends_of[:-1])
-    answers = linear.answers(of.place, _signals(linear.points, knots), shown=False)[first:last]
+    answers = linear.answers(replace(of.place, shown=False), _signals(linear.points, knots))[first:last]
     marginal = RandomEffects(linear, answers).maximised(noise)
     span = (record, float(of.knots[first]), float(of.knots[last - 1]))
     merit = marginal.log_likelihood - 3.0
@@ -279,7 +279,7 @@ def noises_of(at: Refit) -> list[tuple[Filter | None, _Array, int]]:
 def disturbance_at(linear: Linearised, of: Disturbance) -> float:
     """Return the log-likelihood of other records with a disturbance of the same kind, place and variances there."""
     knots, _ = _knots(linear.points, 0, of.step)
-    answers = linear.answers(of.place, _signals(linear.points, knots), shown=False)
+    answers = linear.answers(replace(of.place, shown=False), _signals(linear.points, knots))
     effects = RandomEffects(linear, answers).with_correlation(_exponential(knots, of.correlation / of.step))
     return effects.at(of.marginal.variance, of.marginal.noise).log_likelihood
 
@@ -287,7 +287,7 @@ def disturbance_at(linear: Linearised, of: Disturbance) -> float:
 def powers_of(linear: Linearised, of: Disturbance) -> _Array:
     """Return the mean square (n_y,) that a random time history is expected to give each output."""
     knots, _ = _knots(linear.points, 0, of.step)
-    answers = linear.answers(of.place, _signals(linear.points, knots), shown=False)
+    answers = linear.answers(replace(of.place, shown=False), _signals(linear.points, knots))
     correlation = _exponential(knots, of.correlation / of.step)
     both = answers if correlation is None else correlation @ answers
     squares = of.marginal.variance * np.sum(answers * both, axis=0)

@@ -61,7 +61,7 @@ class RefitCache:
         self._starts: dict[str, Mapping[str, float]] = {}
         self._modes = light_modes(self.base.fit)
         self._ringing: dict[frozenset[str], Ringing | None] = {}
-        self.candidates = with_variants(self.candidates, self.base.linear.points)
+        self.candidates = with_variants(self.candidates, self.base.linear.points, self.base.fit.model)
         # Candidates to refit whatever a scan says of them -> where that starts.
         self.proposed: Mapping[str, Mapping[str, float]] = {}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -52,6 +52,12 @@ _SCALE = 0.3
 _UNITS = (180.0 / np.pi, 9.80665, 1.0 / 0.3048, 3.6 / 1.852, 3.6, 1000.0)
 _FACTORS = (-1.0, *(s * f for f in _UNITS for s in (1.0, -1.0)), *(s / f for f in _UNITS for s in (1.0, -1.0)))
 _LIKE = 0.03
+
+
+def cut_off(x: Any, limit: Any, width: float, size: Callable[[Any, float], Any] = smooth_abs) -> Any:
+    """Return x, cut off at a limit on either side, corners rounded over a width; of arrays with `numpy.hypot` as the
+    rounded ``size``."""
+    return 0.5 * (size(x + limit, width) - size(x - limit, width))
 
 
 def channel(effect: Effect, points: Points) -> _Array:
@@ -231,10 +237,10 @@ class ClippedSensor(Effect):
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         y, limit = channel(self, points), shape[self.shape_names[0]]
-        above, below = (np.hypot(y - side * limit, self._corner) for side in (1.0, -1.0))
         if self.both_sides:
-            return np.asarray(0.5 * (below - above) - y)[np.newaxis]
-        return np.asarray(0.5 * (limit - y + (-above if self._above(limit) else above)))[np.newaxis]
+            return np.asarray(cut_off(y, limit, self._corner, np.hypot) - y)[np.newaxis]
+        distance = np.hypot(y - limit, self._corner)
+        return np.asarray(0.5 * (limit - y + (-distance if self._above(limit) else distance)))[np.newaxis]
 
     def suggested(self, measured: Mapping[str, Sequence[_Array]]) -> Mapping[str, float] | None:
         """Return the greatest or least value, where samples in a row have it again and again."""
@@ -259,11 +265,11 @@ class ClippedSensor(Effect):
         bounds = (0.0 if self.both_sides else -np.inf, np.inf)  # a negative one would turn the sign round
         limit = extension.parameter(name, first, bounds=bounds, unit=model.units.get(self.place.name, ""))
         y = extension.at(self.place)
-        above, below = smooth_abs(y - limit, self._corner), smooth_abs(y + limit, self._corner)
         if self.both_sides:
-            extension.put(self.place, 0.5 * (below - above))
+            extension.put(self.place, cut_off(y, limit, self._corner))
         else:
-            extension.put(self.place, 0.5 * (y + limit - above if self._above(first) else y + limit + above))
+            distance = smooth_abs(y - limit, self._corner)
+            extension.put(self.place, 0.5 * (y + limit - distance if self._above(first) else y + limit + distance))
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
@@ -321,7 +327,7 @@ class _Limited(Effect):
         """Return the distance from the trim, cut off at the limit on either side; corners rounded."""
         x = self._distance()
         width = _CORNER * self.scales.span(self.place.name)
-        return 0.5 * (smooth_abs(x + limit, width) - smooth_abs(x - limit, width))
+        return cut_off(x, limit, width)
 
     def _distance(self) -> Expr:
         centre = self.scales.centre(self.place.name)

@@ -16,7 +16,7 @@ from ...modelling.model import Model
 from ...sensitivities import Points
 from ..misfit.phrases import per_second
 from .candidate import Candidate, Effect, ExtensionBuilder
-from .channel_effects import channel
+from .channel_effects import channel, cut_off
 from .scales import evaluated, of, rate_key
 
 __all__ = ["Backlash", "EndStop", "LimitedForce", "RateLimit", "StateLimit"]
@@ -172,16 +172,14 @@ class LimitedForce(Effect):
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         group = points.rates if self.place.kind == "equation" else points.values
         force, limit = of(group, self.place.name, points, "rate or quantity"), shape[self.shape_names[0]]
-        within = 0.5 * (np.hypot(force + limit, self._width) - np.hypot(force - limit, self._width))
-        return (within - force)[np.newaxis]
+        return np.asarray(cut_off(force, limit, self._width, np.hypot) - force)[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
         peak, unit = self._peak, model.units.get(self.place.name, "") if self.place.kind == "quantity" else ""
         limit = extension.parameter(self.shape_names[0], 0.9 * peak, bounds=(0.0, 2.0 * peak), unit=unit)
         force = extension.at(self.place)
-        within = 0.5 * (smooth_abs(force + limit, self._width) - smooth_abs(force - limit, self._width))
-        extension.add(self.place, within - force)
+        extension.add(self.place, cut_off(force, limit, self._width) - force)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:

@@ -107,7 +107,8 @@ class Assessment:
         if gain <= threshold:
             return Evidence(gain, threshold, clear)
         held = self.held_out(base, more)
-        predicts = self.predicts(held) or self._gain_in_error(base, more) == gain
+        # Where the residuals are error of the model, free simulation of held-out data has confirmed it already.
+        predicts = self.predicts(held) or gain > self._whitened_gain(base, more)
         rings = predicts and any(self._rings_too(more, c) for c in more.beside(base.candidates))
         wanders = predicts and any(self.wanders(base, more, c) for c in more.beside(base.candidates))
         return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings, wanders)
@@ -133,20 +134,24 @@ class Assessment:
         return self.threshold(new) + (0.0 if is_physical(at, new) else self.settings.unphysical)
 
     def gain(self, base: Refit, more: Refit) -> float:
+        """Twice the gain in log-likelihood: with coloured noise, or, where that is no more than chance gives and the
+        residuals are error of the model, of the simulation's errors."""
+        whitened, new = self._whitened_gain(base, more), more.beside(base.candidates)
+        # What has several unknowns or a state of its own follows much in residuals that are no noise.
+        plain = all(c.transferable and complexity(c) < RICH for c in new)
+        if whitened > self.threshold() or not new or not plain:
+            return whitened
+        return max(whitened, self._gain_in_error(base, more))
+
+    def _whitened_gain(self, base: Refit, more: Refit) -> float:
         """Twice the gain in log-likelihood, each with its likeliest noise and less what that costs.
 
         The less of two: with noise channel by channel, as much less as the estimates of the new terms are less certain
         than that noise has them; and with noise of all channels together, where that is the better model. One gust
         moves all channels, and is no evidence for each of them.
         """
-        new = more.beside(base.candidates)
-        inflation = max((more.inflation(c) for c in new), default=1.0)
-        whitened = 2.0 * min((more.own.merit - base.own.merit) / inflation, more.merit - base.merit)
-        # What has several unknowns or a state of its own follows much in residuals that are no noise.
-        plain = all(c.transferable and complexity(c) < RICH for c in new)
-        if whitened > self.threshold() or not new or not plain:
-            return whitened
-        return max(whitened, self._gain_in_error(base, more))
+        inflation = max((more.inflation(c) for c in more.beside(base.candidates)), default=1.0)
+        return 2.0 * min((more.own.merit - base.own.merit) / inflation, more.merit - base.merit)
 
     def _gain_in_error(self, base: Refit, more: Refit) -> float:
         """Twice the gain in log-likelihood where the residuals are error of the model and hardly noise, and where free

@@ -390,7 +390,7 @@ class Backlash(_Follower):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RateLimit(_Follower):
-    """What acts follows the command no faster than a greatest rate."""
+    """Let what acts follow the command no faster than a greatest rate."""
 
     def grid(self) -> Iterable[float]:
         # From a travel over the whole range within two samples to one that takes a fifth of the record.

@@ -62,7 +62,7 @@ class DiscriminatingManoeuvre:
 
 @dataclass(frozen=True)
 class Advice:
-    """What to fly.
+    """Say what to fly.
 
     manoeuvres  each for the rivals that those before do not tell from the cause.
     alike       rivals that none tells from it.

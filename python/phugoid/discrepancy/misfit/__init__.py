@@ -46,7 +46,7 @@ def _none() -> _Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ChannelMisfit:
-    """What is left of one output over all experiments, in its ``unit``.
+    """Hold what is left of one output over all experiments, in its ``unit``.
 
     n            samples, without outliers (which ``notes`` tell of).
     rms          of the residuals.
@@ -90,7 +90,7 @@ class ChannelMisfit:
 
     @property
     def within_resolution(self) -> bool:
-        """Whether the residuals are what rounding to the steps of the sensor explains."""
+        """Tell whether the residuals are what rounding to the steps of the sensor explains."""
         return self.rms <= WITHIN * self.resolution
 
     @property
@@ -108,12 +108,12 @@ class ChannelMisfit:
 
     @property
     def coloured(self) -> bool:
-        """Whether the residuals are not white."""
+        """Tell whether the residuals are not white."""
         return self.white < _ALPHA
 
     @property
     def biased(self) -> bool:
-        """Whether their mean is off zero."""
+        """Tell whether their mean is off zero."""
         from scipy.special import stdtr
 
         if not self.mean_error > 0.0:
@@ -144,7 +144,7 @@ class ChannelMisfit:
 
     @property
     def structured(self) -> bool:
-        """Whether anything stands out from white noise."""
+        """Tell whether anything stands out from white noise."""
         return bool(self.coloured or self.biased or self.spans or self.tones or self.regime or self.follows)
 
     def summary(self) -> str:

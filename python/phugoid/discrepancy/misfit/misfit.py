@@ -65,7 +65,7 @@ class Misfit:
 
     @property
     def structured(self) -> bool:
-        """Whether anything stands out from white noise, in any channel."""
+        """Tell whether anything stands out from white noise, in any channel."""
         return any(c.structured for c in self.channels.values())
 
     def summary(self) -> str:

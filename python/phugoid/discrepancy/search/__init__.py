@@ -45,7 +45,7 @@ class SearchSettings:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """What a search found.
+    """Hold what a search found.
 
     final        the model with all causes that are named, fitted.
     found        what that is, minor findings and surrogates beside it, and a misfit that nothing explains.

@@ -185,3 +185,69 @@ def test_a_wrong_sign_is_named_with_its_reason() -> None:
     (found,) = named(d)
     assert found.cause == "a:scale" and "wrong sign" in found.explanation, d.summary()
     assert found.coefficient == pytest.approx(-2.0, abs=0.01)
+
+
+def positioning(seed: int, name: str) -> ph.Experiment:
+    """A linear axis in a position loop, by a fine encoder: a screw with dry friction, and a cable that pulls."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 20.0, 0.01)
+    goal = 0.24 * rng.random(12)
+    path = np.interp(t, np.linspace(0.0, t[-1], 36), np.repeat(goal, 3))
+    h, q, v, before = 0.0005, 0.0, 0.0, 0.0
+    positions, volts = np.zeros(t.size), np.zeros(t.size)
+    for k in range(t.size):
+        positions[k] = np.round(q / 5e-6) * 5e-6
+        u = float(np.clip(20.0 * (15.0 * (path[k] - positions[k]) - (positions[k] - before) / 0.01), -10.0, 10.0))
+        before, volts[k] = positions[k], u
+        for _ in range(20):
+            free = v + h * (0.37 * u - 2.1 * v + 0.033)
+            after = free - np.clip(free, -0.2 * h, 0.2 * h)  # friction of 0.2 m/s^2, which holds what it can
+            q, v = q + h * (v + after) / 2.0, after
+    return ph.Experiment(t, {"u": volts}, {"q": positions}, name=name, interpolation="hold")
+
+
+def test_friction_and_a_constant_force_are_named_in_a_position_loop() -> None:
+    """What is left beside them is motion that sticks: error of the model, by whose likelihood as noise nothing can be
+    judged."""
+    m = ph.Model("axis")
+    q, v = m.states(q="m", v="m/s")
+    (u,) = m.inputs(u="V")
+    gain, damping = m.parameters(gain=0.3, damping=1.0)
+    m.dynamics(q=v, v=gain * u - damping * v)
+    m.outputs(q=q)
+    library = ph.candidates(m).only("v':sign(v)", "v':bias", "v':|v|", "v':v*u", "q:v")
+    d = ph.diagnose(ph.estimate(m, positioning(21, "one")), candidates=library, validation=positioning(22, "other"))
+    found = {f.cause: f for f in named(d)}
+    assert set(found) == {"v':sign(v)", "v':bias"}, d.summary()
+    assert found["v':sign(v)"].coefficient == pytest.approx(-0.2, rel=0.05)
+    assert found["v':bias"].coefficient == pytest.approx(0.033, rel=0.1)
+
+
+def cascade(seed: int, name: str) -> ph.Experiment:
+    """Two tanks, one above the other, of which the gauge of the lower one ends at its brim."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 2400.0, 4.0)
+    u = steps(rng, t, 1.0, 5.0, 130.0)
+
+    def f(x: _Array, u: float) -> _Array:
+        upper, lower = np.sqrt(np.maximum(x, 0.0))
+        return np.array([0.055 * u - 0.06 * upper, (0.055 * upper - 0.05 * lower) * (x[1] < 10.0 or upper < lower)])
+
+    h = integrated(f, np.array([6.0, 8.0]), t, u)[:, 1]
+    return ph.Experiment(
+        t, {"u": u}, {"h": np.minimum(h, 10.0) + 0.01 * rng.standard_normal(t.size)}, name=name, interpolation="hold"
+    )
+
+
+def test_a_tank_that_is_full_is_named_where_one_scale_is_free() -> None:
+    """Of the scale of the upper tank, which is not measured, and the three coefficients only one is not determined."""
+    m = ph.Model("cascade")
+    upper, lower = m.states(upper=ph.State("m", start=6.0), lower=ph.State("m", start=8.0))
+    (u,) = m.inputs(u="V")
+    k1, k2, k3, k4 = m.parameters(k1=0.05, k2=0.05, k3=0.05, k4=0.05)
+    m.dynamics(upper=k4 * u - k1 * ph.sqrt(upper), lower=k2 * ph.sqrt(upper) - k3 * ph.sqrt(lower))
+    m.outputs(h=lower)
+    fit = ph.estimate(m, cascade(23, "one"))
+    assert fit.status == "unidentifiable"
+    d = ph.diagnose(fit, validation=cascade(24, "other"))
+    assert any("with k1 fixed" in note for note in d.notes), d.notes
+    found = named(d)[0]
+    assert {"lower:limit", "h:clipped"} & {found.cause, *found.aliases}, d.summary()

@@ -76,7 +76,7 @@ class Refitting:
             for r, _ in self.rivals(at, candidate):
                 if r is at:
                     break
-                if without is not None and assess.goes_before(without, at, r):
+                if without is not None and (assess.goes_before(without, at, r) or assess.is_worse(without, r, at)):
                     continue
                 # Another must be significant itself, whatever the filter of the first makes of it.
                 (new,) = r.beside(others)

@@ -107,8 +107,9 @@ class Assessment:
         if gain <= threshold:
             return Evidence(gain, threshold, clear)
         held = self.held_out(base, more)
-        # Where the residuals are error of the model, free simulation of held-out data has confirmed it already.
-        predicts = self.predicts(held) or gain > self._whitened_gain(base, more)
+        # Where the residuals are error of the model, free simulation of held-out data confirms it, and what is left is
+        # no noise by whose likelihood it could be judged.
+        predicts = self.predicts(held) or self._frees_of_error(base, more)
         rings = predicts and any(self._rings_too(more, c) for c in more.beside(base.candidates))
         wanders = predicts and any(self.wanders(base, more, c) for c in more.beside(base.candidates))
         return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings, wanders)
@@ -136,12 +137,21 @@ class Assessment:
     def gain(self, base: Refit, more: Refit) -> float:
         """Twice the gain in log-likelihood: with coloured noise, or, where that is no more than chance gives and the
         residuals are error of the model, of the simulation's errors."""
-        whitened, new = self._whitened_gain(base, more), more.beside(base.candidates)
-        # What has several unknowns or a state of its own follows much in residuals that are no noise.
-        plain = all(c.transferable and complexity(c) < RICH for c in new)
-        if whitened > self.threshold() or not new or not plain:
+        whitened = self._whitened_gain(base, more)
+        if whitened > self.threshold() or not self._is_plain(base, more):
             return whitened
         return max(whitened, self._gain_in_error(base, more))
+
+    def _is_plain(self, base: Refit, more: Refit) -> bool:
+        """Tell whether a model has terms beside a base that have one unknown and no state of their own: others follow
+        much in residuals that are no noise."""
+        new = more.beside(base.candidates)
+        return bool(new) and all(c.transferable and complexity(c) < RICH for c in new)
+
+    def _frees_of_error(self, base: Refit, more: Refit) -> bool:
+        """Tell whether the residuals are error of the model, and a plain term frees free simulation of held-out data of
+        most of it."""
+        return self._is_plain(base, more) and self._gain_in_error(base, more) > self.threshold()
 
     def _whitened_gain(self, base: Refit, more: Refit) -> float:
         """Twice the gain in log-likelihood, each with its likeliest noise and less what that costs.
@@ -167,7 +177,7 @@ class Assessment:
                 more.beside(base.candidates)
             )
             if gain > self.threshold():
-                explained = self.explained(base, more)
+                explained = self._compared(base, base, more, base)
                 if explained is None or explained.interval[0] < s.most:
                     self._in_error[key] = -np.inf
         return self._in_error[key]
@@ -202,8 +212,8 @@ class Assessment:
 
     def is_worse(self, base: Refit, one: Refit, other: Refit) -> bool:
         """Tell whether, beside the terms of a base, free simulation of held-out data is clearly worse with those of
-        one model than with those of another."""
-        found = self.compared(base, one, other)
+        one model than with those of another: by a part of the misfit of the base that is not minor."""
+        found = self._compared(base, one, other, base)
         return found is not None and found.significant and found.part > self.settings.minor
 
     def is_named(self, at: Refit, candidate: Candidate, explained: Explained | None) -> bool:
@@ -233,11 +243,18 @@ class Assessment:
         return explained.part > self.settings.half or beyond < self.needed(other, own[-1])
 
     def compared(self, base: Refit, one: Refit, other: Refit) -> Explained | None:
-        """Return what another model explains that one does not, by blocks of the records beside the terms of a base
-        where there are no other data."""
+        """Return what another model explains of the misfit of the model that was diagnosed and one does not, by blocks
+        of the records beside the terms of a base where there are no other data."""
+        return self._compared(base, one, other)
+
+    def _compared(self, base: Refit, one: Refit, other: Refit, misfitting: Refit | None = None) -> Explained | None:
+        """Return the same of the misfit of a model, by default that which was diagnosed."""
         new = [*one.beside(base.candidates), *other.beside(base.candidates)]
         on = self._cache.on_validation
-        root, elsewhere = self._cache.diagnosed or (self._cache.base, on(self._cache.base))
+        if misfitting is not None:
+            root, elsewhere = misfitting, on(misfitting)
+        else:
+            root, elsewhere = self._cache.diagnosed or (self._cache.base, on(self._cache.base))
         if on(base) is not None and all(c.transferable for c in new):
             first, second = on(one, on(base)), on(other, on(base))
             if first is None or second is None:

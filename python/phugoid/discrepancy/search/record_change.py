@@ -157,7 +157,8 @@ def record_changes(search: Search, result: SearchResult) -> tuple[Refit | None, 
     current, changes = base, []
     for option, aliases in options:
         more = _with(current, option)
-        if more is None:
+        # Beside terms that were found much of what is left may be little of the misfit that is diagnosed.
+        if more is None or _explained(base, _the_same(current, option), more).part < _MINOR:
             return None, [], []
         changes.append(_change(search, current, more, option, aliases))
         current = more
@@ -182,9 +183,7 @@ def _differing(at: Refit) -> tuple[Refit, list[tuple[_Difference, tuple[str, ...
         alike = [pair for pair in refits if pair[0].merit > best - _ALIKE]
         # A parameter that the model has, before a sensor or an input, before an equation that is complete without it.
         following, option = min(alike, key=lambda pair: _ORDER.index(pair[1].place.kind))
-        # A constant that is the same in all records is no difference.
-        same = _with(at, option, each=False) if option.place.kind != "parameter" else None
-        before = same if same is not None and same.merit > at.merit else at
+        before = _the_same(at, option)
         needed = _threshold(len(dataset(at.fit)) - 1, len(options))
         if following.merit - before.merit < needed or _explained(at, before, following).part < _MINOR:
             break
@@ -285,6 +284,12 @@ def _with(at: Refit, option: _Difference, each: bool = True) -> Refit | None:
         return None
     solver = Newton(max_iterations=_ITERATIONS, time_limit=max(5.0, 20.0 * fit.time))
     return fitted_to(at, dataset(fit), model=model, solver=solver)
+
+
+def _the_same(at: Refit, option: _Difference) -> Refit:
+    """Return the fit with one value for all records, where that is the better one: it is no difference."""
+    same = _with(at, option, each=False) if option.place.kind != "parameter" else None
+    return same if same is not None and same.merit > at.merit else at
 
 
 def _explained(of: Refit, before: Refit, after: Refit) -> Explained:

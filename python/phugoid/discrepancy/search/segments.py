@@ -149,14 +149,10 @@ def restarted(fit: FitResult, validation: Sequence[Experiment]) -> Restart:
     again = _estimated(fit, fit.model, start=fit) or _estimated(fit, fit.model)
     if again is not None:
         return Restart(again, f"{status}; it was estimated again, which converged, and that fit was diagnosed.")
-    undetermined = [n for n, e in fit.parameters.items() if not (e.fixed or np.isfinite(e.std_error))]
-    declared = fit.model.declared_parameters
-    undetermined = [n for n in undetermined if n in declared and not declared[n].per_experiment]
-    if fit.status == "unidentifiable" and undetermined:
-        fixed = {n: replace(declared[n], start=fit.parameters[n].value, fixed=True) for n in undetermined}
-        again = _estimated(fit, fit.model.with_parameters(fixed), start=fit)
+    if fit.status == "unidentifiable":
+        again, fixed = _with_fixed(fit)
         if again is not None:
-            which = ", ".join(undetermined)
+            which = ", ".join(fixed)
             return Restart(
                 again, f"{status}; the model was diagnosed with {which} fixed, which the data do not determine."
             )
@@ -180,8 +176,32 @@ def restarted(fit: FitResult, validation: Sequence[Experiment]) -> Restart:
     )
 
 
+def _with_fixed(fit: FitResult) -> tuple[FitResult | None, list[str]]:
+    """Return an estimation that ended at an optimum with parameters fixed that the data do not determine, and these: as
+    few as possible, for of a scale that is free one determines all others."""
+    declared, fixed, now = fit.model.declared_parameters, list[str](), fit
+    while now.status == "unidentifiable":
+        left = [n for n, e in now.parameters.items() if not (e.fixed or np.isfinite(e.std_error))]
+        left = [n for n in left if n in declared and n not in fixed and not declared[n].per_experiment]
+        if not left:
+            return None, []
+        fixed.append(left[0])
+        held = {n: replace(declared[n], start=fit.parameters[n].value, fixed=True) for n in fixed}
+        following = _ended(fit, fit.model.with_parameters(held), now)
+        if following is None:
+            return None, []
+        now = following
+    return (now, fixed) if now.status in ENDED_WELL else (None, [])
+
+
 def _estimated(fit: FitResult, model: Model, start: FitResult | dict[str, float] | None = None) -> FitResult | None:
     """Return an estimation from the same records that ended at an optimum; None else."""
+    found = _ended(fit, model, start)
+    return found if found is not None and found.status in ENDED_WELL else None
+
+
+def _ended(fit: FitResult, model: Model, start: FitResult | dict[str, float] | None) -> FitResult | None:
+    """Return an estimation from the same records, however it ended; None where it cannot be made."""
     check_time()
     solver = Newton(max_iterations=_ITERATIONS, time_limit=max(_SECONDS, _TIMES * fit.time))
     try:
@@ -190,7 +210,7 @@ def _estimated(fit: FitResult, model: Model, start: FitResult | dict[str, float]
         return None
     if found.status == "interrupted":
         raise KeyboardInterrupt
-    return found if found.status in ENDED_WELL else None
+    return found
 
 
 _Array = NDArray[np.float64]

@@ -22,6 +22,9 @@ _Array = NDArray[np.float64]
 
 # Kinks are rounded over this part of the range of a rate, or of 1.
 _KINK = 0.01
+# How a hysteresis turns: sharply, and what a scan tries; the least that is looked for, and the standard deviation of the
+# prior about a sharp turn.
+_SHARP, _TURNS, _LEAST_TURN, _TURN_DEVIATION = 1.0, (1.0, -1.2), -3.0, 1.5
 # The jump of dry friction is rounded over this part of a velocity's range, as that of Coulomb friction is.
 _JUMP = 0.005
 # Damping ratio of a mode that is looked for, and those that it may have.
@@ -31,12 +34,20 @@ _DAMPING, _DAMPINGS = 0.05, (0.0005, 0.5)
 @dataclass(frozen=True, eq=False, repr=False)
 class Hysteresis(Effect):
     """A force c z that follows the motion x elastically until it yields, and remembers where it turned (Bouc 1967, Wen
-    1976, with exponent 1 and sharp return): d z' = x' - (|x'| z + x' |z|) / 2, z = 0 at first.
+    1976, with exponent 1): d z' = x' - (|x'| z + s x' |z|) / 2, z = 0 at first.
 
-    With a small yield displacement d it is dry friction with presliding (Dahl 1968), with a large one a spring.
+    With s = 1 it returns as stiff as it began: with a small yield displacement d it is dry friction with presliding
+    (Dahl 1968), with a large one a spring. With s = 0 it returns along a smooth loop, and with s below -1 it hardens
+    and does not yield. s has a Gaussian prior, for a motion with turns all alike determines it poorly.
     """
 
     stage: int = 5  # after all that changes the equation of the motion
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        size, turn = self.shape_names
+        shapes = [{**shape, turn: s} for s in _TURNS for shape in self.shapes if size in shape]
+        object.__setattr__(self, "shapes", tuple(shapes))
 
     @property
     def several_starts(self) -> bool:
@@ -45,51 +56,59 @@ class Hysteresis(Effect):
     def grid(self) -> Iterable[float]:
         return self.scales.span(self.variables[0]) * np.array([0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.6])
 
-    def path(self, x: _Array, size: float) -> _Array:
+    def path(self, x: _Array, size: float, turn: float = _SHARP) -> _Array:
         """Return z (n,) along the motion, exact for one that turns at no other than its points."""
+        onward, back = 0.5 * (1.0 + turn), 0.5 * (1.0 - turn)
         z, now = np.empty(x.size), 0.0
         for k, step in enumerate((np.diff(x, prepend=x[0]) / size).tolist()):
             side = 1.0 if step > 0.0 else -1.0
             left = abs(step)
-            if now * side < 0.0:  # it unloads, with the stiffness that it begins with
-                unloading = min(left, -now * side)
-                now, left = now + side * unloading, left - unloading
-            if left:
-                now = side - (side - now) * float(np.exp(-left))
+            if now * side < 0.0:  # it unloads: |z| decreases at the rate 1 + back |z|
+                whole = float(np.log1p(back * -now * side)) / back if back else -now * side
+                part = min(left, whole)
+                size_left = (1.0 + back * -now * side) * float(np.exp(-back * part)) - 1.0 if back else whole - part
+                now, left = -side * max(size_left / back if back else size_left, 0.0), left - part
+            if left:  # |z| increases at the rate 1 - onward |z|
+                growth = -float(np.expm1(-onward * left)) / onward if onward else left
+                now = side * (abs(now) * float(np.exp(-onward * left)) + growth)
             z[k] = now
         return z
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         x = of(points.values, self.variables[0], points, "state")
-        return self.path(x, shape[self.shape_names[0]])[np.newaxis]
+        size, turn = self.shape_names
+        return self.path(x, shape[size], shape.get(turn, _SHARP))[np.newaxis]
 
     @property
     def _state(self) -> str:
         return f"{self.place.name}_hysteresis"
 
     def paths(self, points: Points, start: Mapping[str, float]) -> Mapping[str, _Array]:
-        (name,) = self.shape_names
+        size, turn = self.shape_names
         x = of(points.values, self.variables[0], points, "state")
-        return {self._state: self.path(x, start[name])} if name in start else {}
+        return {self._state: self.path(x, start[size], start.get(turn, _SHARP))} if size in start else {}
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
-        (name,), (x,) = self.shape_names, self.variables
+        (name, turn), (x,) = self.shape_names, self.variables
         span, unit = self.scales.span(x), model.units.get(x, "")
         c = extension.parameter(self.coefficients[0])
         bounds = (1e-3 * span, 10.0 * span)
         d = extension.parameter(name, self.shapes[2][name], bounds=bounds, unit=unit, transform="log")
+        s = extension.parameter(turn, _SHARP, bounds=(_LEAST_TURN, _SHARP), prior=(_SHARP, _TURN_DEVIATION))
         rate = extension.at(Place("equation", x))
         size = smooth_abs(rate, _KINK * self.scales.span(rate_key(x)))
-        z = extension.state(self._state, "", lambda z: (rate - 0.5 * (size * z + rate * smooth_abs(z, _KINK))) / d, 0.0)
+        z = extension.state(
+            self._state, "", lambda z: (rate - 0.5 * (size * z + s * rate * smooth_abs(z, _KINK))) / d, 0.0
+        )
         extension.add(self.place, c * z)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        (name,) = self.shape_names
+        name, turn = self.shape_names
         largest = largest_coefficient(self, self.shapes[2], points)
         span = self.scales.span(self.variables[0])
-        return {self.coefficients[0]: (-largest, largest), name: (0.002 * span, span)}
+        return {self.coefficients[0]: (-largest, largest), name: (0.002 * span, span), turn: (_LEAST_TURN, _SHARP)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -293,7 +293,7 @@ def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names:
                 "hysteresis",
                 scales,
                 (names(f"{stem}_hysteresis_{v.shown}"),),
-                (names(f"yield_{stem}_{v.shown}"),),
+                (names(f"yield_{stem}_{v.shown}"), names(f"turn_{stem}_{v.shown}")),
                 variables=(v.symbol,),
             )
     for v in structure.variables:

@@ -22,8 +22,8 @@ _Array = NDArray[np.float64]
 
 # Kinks are rounded over this part of the range of a rate, or of 1.
 _KINK = 0.01
-# How a hysteresis turns: sharply, and what a scan tries; the least that is looked for, and the standard deviation of the
-# prior about a sharp turn.
+# How a hysteresis turns: sharply, and what a scan tries; the least that is looked for, and the standard deviation of
+# the prior about a sharp turn.
 _SHARP, _TURNS, _LEAST_TURN, _TURN_DEVIATION = 1.0, (1.0, -1.2), -3.0, 1.5
 # The jump of dry friction is rounded over this part of a velocity's range, as that of Coulomb friction is.
 _JUMP = 0.005

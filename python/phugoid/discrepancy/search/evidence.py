@@ -10,7 +10,9 @@ import numpy as np
 
 from ...residual_noise import WITHIN, resolution_of
 from ...residual_noise.whitening import Whitening
+from ...sensitivities.whitened import Whitened
 from ..candidates.candidate import Candidate, Effect
+from ..candidates.terms import Periodic
 from .free_run import Explained, Misfitting, Simulated
 from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, predicted_blocks, predicted_from_blocks
 from .refit_cache import RefitCache
@@ -38,6 +40,7 @@ class AssessmentSettings:
     minor        part of the misfit's power: what explains less in free simulation is a minor finding.
     error        part of the residuals' power that their past predicts, from which on they are error of the model.
     most         part of such a misfit that free simulation of held-out data must be freed of.
+    chance       probability that noise of a validation record passes for a disturbance of a known frequency.
     """
 
     false_alarm: float = 0.01
@@ -50,6 +53,7 @@ class AssessmentSettings:
     minor: float = 0.05
     error: float = 0.8
     most: float = 0.5
+    chance: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -104,6 +108,8 @@ class Assessment:
         place."""
         gain, threshold = self.gain(base, more), self.needed(more, candidate)
         clear = self.settings.clear * threshold
+        if threshold < gain <= clear and self._is_tone_of_these_records(base, more, candidate):
+            threshold = clear
         if gain <= threshold:
             return Evidence(gain, threshold, clear)
         held = self.held_out(base, more)
@@ -295,6 +301,25 @@ class Assessment:
         before, after = self.held_out_rms(base), self.held_out_rms(more)
         ratios = [(after[n] / before[n]) ** 2 for n in before] if after else []
         return bool(ratios) and float(np.mean(ratios)) < self.settings.half
+
+    def _is_tone_of_these_records(self, base: Refit, more: Refit, candidate: Candidate) -> bool:
+        """Tell whether a candidate is a periodic disturbance of whose frequency no validation record has more than
+        chance gives, whatever its phase there: among so many frequencies that is what noise looks like."""
+        linear = self._cache.on_validation(base)
+        if linear is None or not isinstance(candidate, Periodic):
+            return False
+        shape = {n: more.fit.parameters[n].value for n in candidate.shape_names}
+        signals, count = [], 2 * len(linear.points)
+        for e, points in enumerate(linear.points):
+            signal = np.zeros((count, points.n))
+            signal[2 * e : 2 * e + 2] = candidate.signals(points, shape)
+            signals.append(signal)
+        seen = Whitened(linear, more.own.filter.on(linear.structure))
+        columns = seen.filter(linear.answers(candidate.place, signals)).T
+        columns -= seen.basis @ (seen.basis.T @ columns)
+        amplitudes = np.linalg.lstsq(columns, seen.errors, rcond=None)[0]
+        gain = float(np.sum(seen.errors**2) - np.sum((seen.errors - columns @ amplitudes) ** 2))
+        return gain < chi_square_quantile(count, self.settings.chance)
 
     def steady_gain(self, base: Refit, more: Refit) -> float:
         """Twice the gain in log-likelihood by noise as large as the residuals of the base, that does not ring."""

@@ -352,15 +352,15 @@ def _thin(e: Experiment, k: int) -> Experiment:
     bends = _bends(e)
     middles = _middles(e.t, k)
     t = np.concatenate([e.t[:1], middles, e.t[-1:]])
+    # Many bends are noise of the record, which has a mean as the outputs have.
+    noisy = bends.sum() > middles.size
     # Where an input jumps the outputs may, too, and a mean says nothing of the middle.
-    clear = _means(bends.astype(float), k) == 0.0
+    clear = np.full(middles.size, True) if noisy else _means(bends.astype(float), k) == 0.0
     outputs = {}
     for name, y in e.outputs.items():
         # Rounded samples stay so: rounding is no noise, and means would hide it.
-        own = _middles(y, k) if resolution_of([y]) else _means(y, k)
-        outputs[name] = np.concatenate([[np.nan], np.where(clear, own, np.nan), [np.nan]])
-    # Many bends are noise of the record, which has a mean as the outputs have.
-    noisy = bends.sum() > middles.size
+        own = _middles(y, k) if resolution_of([y]) else np.where(clear, _means(y, k), np.nan)
+        outputs[name] = np.concatenate([[np.nan], own, [np.nan]])
     signals: dict[str, Signal] = {}
     inputs = {}
     for name, u in e.inputs.items():

@@ -251,3 +251,31 @@ def test_a_tank_that_is_full_is_named_where_one_scale_is_free() -> None:
     assert any("with k1 fixed" in note for note in d.notes), d.notes
     found = named(d)[0]
     assert {"lower:limit", "h:clipped"} & {found.cause, *found.aliases}, d.summary()
+
+
+def test_a_sensor_without_a_sign_is_named() -> None:
+    """A pulse counter behind a drive that turns either way: a model of the speed follows its record nowhere."""
+
+    def drive(seed: int, name: str, drag: float = 0.0) -> ph.Experiment:
+        rng, t = np.random.default_rng(seed), np.arange(0.0, 20.0, 0.04)
+        u = steps(rng, t, -1.0, 1.0, 0.6)
+        (w,) = integrated(lambda x, u: 30.0 * u - 2.0 * x - drag * x * np.abs(x), np.zeros(1), t, u).T
+        read = np.abs(w) + 0.02 * rng.standard_normal(t.size)
+        return ph.Experiment(t, {"u": u}, {"w": read}, name=name, interpolation="hold")
+
+    m = ph.Model("drive")
+    (w,) = m.states(w="rad/s")
+    (u,) = m.inputs(u="V")
+    gain, damping = m.parameters(gain=20.0, damping=1.0)
+    m.dynamics(w=gain * u - damping * w)
+    m.outputs(w=w)
+    library = ph.candidates(m).only("w':w|w|", "w':w^3", "w:scale", "w':sign(w)")
+    for drag, also in ((0.0, []), (0.2, ["w':w|w|"])):
+        fit = ph.estimate(m, drive(31, "one", drag))
+        d = ph.diagnose(fit, candidates=library, validation=drive(32, "other", drag))
+        assert [f.cause for f in named(d)] == ["w:unsigned", *also], d.summary()
+        assert d.extend().fit.parameters["gain"].value == pytest.approx(30.0, rel=0.01)
+    plain = drive(33, "with its sign")
+    w_signed = ph.simulate(m, {"gain": 30.0, "damping": 2.0}, plain.with_outputs({}), initial={"w": 0.0}).outputs["w"]
+    level = ph.estimate(m, plain.with_outputs({"w": np.maximum(w_signed, 0.0)}))
+    assert not any(f.cause == "w:unsigned" for f in ph.diagnose(level, candidates=library).findings)

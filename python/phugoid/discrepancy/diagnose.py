@@ -24,6 +24,8 @@ from .discrimination import advice_of
 from .search import Search, SearchResult
 from .search.confirmation import Found
 from .search.data_suspects import (
+    UnsignedSensor,
+    unsigned_sensor,
     with_changes,
     with_inputs_as_sampled,
     with_proposals,
@@ -39,6 +41,7 @@ from .search.findings import (
     finding_of_record_change,
     finding_of_recorded_input,
     finding_of_remainder,
+    finding_of_unsigned_sensor,
     no_optimum,
 )
 from .search.other_laws import other_laws, words_of_laws
@@ -240,8 +243,9 @@ def diagnose(
 
     A fit that ended at no optimum is estimated again: continued, with parameters fixed that the data do not determine,
     or begun from short segments of the records, and a note says so. Where none of these converges the misfit is
-    unexplained, and the finding says what the status of the fit means. Where the model cannot be fitted to the
-    validation records, blocks of the records are left out in turn as without them.
+    unexplained, and the finding says what the status of the fit means. Where an output is the size of what the model
+    has for it, without its sign, the model with that is estimated and diagnosed. Where the model cannot be fitted to
+    the validation records, blocks of the records are left out in turn as without them.
 
     Raises DataError for a fit that is exact or of too short a record, and for a validation record without the channels;
     OptionError and ModelError for candidates and biases that cannot be.
@@ -251,6 +255,8 @@ def diagnose(
     check_fit(fit)
     others = validation_given(fit, validation)
     free = freed(fit, others, biases)
+    unsigned = _unsigned(fit, deadline)
+    fit = unsigned.fit if unsigned is not None else fit
     begun = collocated(fit) if fit.status in ENDED_WELL else fit
     restart = None if begun.status in ENDED_WELL else _restarted(begun, others, deadline)
     if restart is not None:
@@ -322,6 +328,7 @@ def diagnose(
             units, margin = fit.model.units, RemainderSettings().margin
             held = [finding_of_recorded_input(b, margin, units.get(b.name, "")) for b in told]
             held += [finding_of_record_change(c) for c in changes]
+            held[:0] = [finding_of_unsigned_sensor(unsigned)] if unsigned is not None else []
             findings[:0] = held
             # In white residuals inputs that were sampled too slowly leave what looks like noise of them.
             slowly = sampled is not None and not is_structured(search.cache.base, RemainderSettings().structure)
@@ -380,9 +387,18 @@ def diagnose(
             seconds=time.perf_counter() - started,
             _extension=extension,
             _full=full,
-            _inputs=tuple(b.cause for b in told),
+            _inputs=(*([unsigned.cause] if unsigned is not None else []), *(b.cause for b in told)),
             _validation=tuple(search.cache.validation),
         )
+
+
+def _unsigned(fit: FitResult, deadline: Deadline) -> UnsignedSensor | None:
+    """Return the sensor that gives no sign, with the fit of a model that has it so; within the time limit."""
+    try:
+        with deadline.in_force():
+            return unsigned_sensor(fit)
+    except KeyboardInterrupt:
+        return None
 
 
 def _restarted(fit: FitResult, others: Sequence[Experiment], deadline: Deadline) -> Restart:

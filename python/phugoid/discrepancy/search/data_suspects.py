@@ -1,4 +1,4 @@
-"""Suspects in the data of a search: recorded inputs, differences between records, disturbances.
+"""Suspects in the data of a search: sensors without a sign, recorded inputs, differences between records, disturbances.
 
 Each ends with a search that goes on as if the data were as they were found to be.
 """
@@ -6,23 +6,30 @@ Each ends with a search that goes on as if the data were as they were found to b
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..._core import Expr
 from ...errors import PhugoidError
+from ...estimation import estimate
+from ...fit_result import ENDED_WELL, FitResult, dataset
 from ...frozen_model import freed_by_default
+from ...functions import smooth_abs
 from ..candidates.candidate import Candidate
 from . import Search, SearchResult
 from .disturbance import Disturbances
 from .finding import ExtensionResult
 from .record_change import RecordChange, record_changes
-from .recorded_input import RecordedInput, SampledInputs, recorded_input, sampled_inputs
+from .recorded_input import RecordedInput, SampledInputs, noise_of, recorded_input, sampled_inputs
 from .refit import Refit, fitted_to
 from .remainder import Remainder, RemainderSettings, remainder_of
 from .segments import short_segments
 
 __all__ = [
+    "UnsignedSensor",
+    "unsigned_sensor",
     "with_changes",
     "with_inputs_as_sampled",
     "with_proposals",
@@ -39,6 +46,82 @@ _RIVALS = {
     "noise": ("deadband", "backlash", "saturation", "lag", "delay"),
 }
 _BEYOND = 1.25
+
+
+# A sensor that may give no sign: no value below zero by more than so many times its noise, and dips to near zero, of
+# which each side rises again to a part of the largest values.
+_BELOW, _NEAR_ZERO, _RISES, _DIPS = 5.0, 0.1, 0.3, 3
+# Part of the mean square of an output's residuals that a model of its size may leave.
+_LEFT_BY_SIZE = 0.25
+# Rounding of the size at zero, as a part of its largest values, beside the sensor's noise.
+_ROUNDED_SIZE = 0.002
+
+
+@dataclass(frozen=True, eq=False)
+class UnsignedSensor:
+    """An output that gives the size of what it measures, without its sign.
+
+    name  of the output.
+    fit   of the model whose output is that size.
+    part  of the mean square of the output's residuals that this explains, in the records of the fit.
+    """
+
+    name: str
+    fit: FitResult
+    part: float
+
+    @property
+    def cause(self) -> str:
+        """Canonical name."""
+        return f"{self.name}:unsigned"
+
+
+def unsigned_sensor(fit: FitResult) -> UnsignedSensor | None:
+    """Return the output whose values can only be the size of what the model has for it; None where there is none.
+
+    A model that is far from such a record says nothing of its motion: the estimation begins anew, where the model does.
+    """
+    data, model = dataset(fit), fit.model
+    for name in model.output_names:
+        measured = [e.output(name) for e in data]
+        if not _may_be_size([y[np.isfinite(y)] for y in measured]):
+            continue
+        residuals = np.concatenate([r.residuals[name] for r in fit.records])
+        before = float(np.nanmean(residuals**2))
+        values = np.concatenate(measured)
+        values = values[np.isfinite(values)]
+        if before < _LEFT_BY_SIZE * float(np.var(values)):  # the model follows it as it is
+            continue
+        width = max(max(map(noise_of, measured)), _ROUNDED_SIZE * float(values.max()))
+        equations = model._right_hand_sides()
+        equations["output", name] = Expr(smooth_abs(equations["output", name], width))
+        try:
+            found = estimate(model._changed(equations=equations), data, noise=fit.noise)
+        except (PhugoidError, np.linalg.LinAlgError):
+            continue
+        if found.status == "interrupted":
+            raise KeyboardInterrupt
+        after = float(np.nanmean(np.concatenate([r.residuals[name] for r in found.records]) ** 2))
+        if found.status in ENDED_WELL and after < _LEFT_BY_SIZE * before:
+            return UnsignedSensor(name, found, 1.0 - after / before)
+    return None
+
+
+def _may_be_size(records: Sequence[NDArray[np.float64]]) -> bool:
+    """Tell whether values are never negative but for noise, and often near zero between larger ones."""
+    records = [y for y in records if y.size]
+    if not records:
+        return False
+    largest = max(float(y.max()) for y in records)
+    if any(float(y.min()) < -_BELOW * noise_of(y) for y in records) or largest <= 0.0:
+        return False
+    dips = 0
+    for y in records:
+        level = np.where(y < _NEAR_ZERO * largest, -1, np.where(y > _RISES * largest, 1, 0))
+        level = level[level != 0]
+        turns = np.flatnonzero(np.diff(level))
+        dips += int(np.sum(level[turns[:-1]] > 0)) if turns.size > 1 else 0
+    return dips >= _DIPS
 
 
 def with_proposals(search: Search, listed: Callable[[Refit], Sequence[Candidate]]) -> bool:

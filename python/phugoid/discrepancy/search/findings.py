@@ -14,6 +14,7 @@ from ..candidates.terms import where
 from ..misfit.phrases import number, per_second, percent
 from . import SearchResult
 from .confirmation import Found
+from .data_suspects import UnsignedSensor
 from .disturbance import Disturbance
 from .evidence import is_physical
 from .finding import DiagnosisResult, ExtensionResult, Finding, Gain
@@ -22,7 +23,14 @@ from .recorded_input import RecordedInput
 from .refit import Refit
 from .remainder import Remainder
 
-__all__ = ["finding_of", "finding_of_record_change", "finding_of_recorded_input", "finding_of_remainder", "no_optimum"]
+__all__ = [
+    "finding_of",
+    "finding_of_record_change",
+    "finding_of_recorded_input",
+    "finding_of_remainder",
+    "finding_of_unsigned_sensor",
+    "no_optimum",
+]
 
 _INTERVAL = 1.959963984540054  # 95 % of a normal distribution
 # Aliases that are named beside a cause.
@@ -178,6 +186,22 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, unit: str) -> 
         explained=h.explained.part if h.explained else nan,
         explained_interval=h.explained.interval if h.explained else (nan, nan),
         explained_outputs=dict(h.explained.outputs) if h.explained else {},
+    )
+
+
+def finding_of_unsigned_sensor(s: UnsignedSensor) -> Finding:
+    """Return a sensor that gives no sign as it is told."""
+    return Finding(
+        cause=s.cause,
+        status="named",
+        explanation=(
+            f"{s.name} gives the size of what it measures, without its sign; that explains {percent(s.part)} of the "
+            "misfit of these records"
+        ),
+        advice=(
+            f"Write the output {s.name} as the absolute value (smooth_abs); all else was sought with that, and the "
+            "residuals that are told are those of that model."
+        ),
     )
 
 

@@ -34,6 +34,7 @@ from .refit_cache import RefitCache
 __all__ = [
     "RecordedInput",
     "SampledInputs",
+    "noise_of",
     "recorded_input",
     "sampled_inputs",
 ]
@@ -153,7 +154,7 @@ def _without_noise(at: Whitened, name: str) -> list[Experiment]:
     for about all that any filter takes away."""
     linear, data, place = at.linear, at.linear.experiments, Place("input", name)
     inputs = [e.input(name) for e in data]
-    if place not in linear.places or any(_noise_of(u) == 0.0 for u in inputs):
+    if place not in linear.places or any(noise_of(u) == 0.0 for u in inputs):
         return []
     filtered = [
         [_median(u, size) for size in _MEDIANS] + [_edge_preserving(u, width) for width in _MEANS] for u in inputs
@@ -178,7 +179,7 @@ def _rms(data: Sequence[Experiment], treated: Sequence[Experiment], name: str) -
     return float(np.sqrt(np.mean(taken**2)))
 
 
-def _noise_of(u: _Array) -> float:
+def noise_of(u: _Array) -> float:
     """Return the standard deviation of white noise on a signal that is smooth in most places, by second differences."""
     return float(np.median(np.abs(np.diff(u, 2))) / (0.6745 * np.sqrt(6.0))) if u.size > 2 else 0.0
 
@@ -192,7 +193,7 @@ def _median(u: _Array, size: int) -> _Array:
 def _edge_preserving(u: _Array, width: int) -> _Array:
     """Filter by means over samples that are near in time and alike in value (bilateral filter, Tomasi and Manduchi
     1998)."""
-    alike = _ALIKE * max(_noise_of(u), 1e-300)
+    alike = _ALIKE * max(noise_of(u), 1e-300)
     reach = 3 * width
     rough, padded = np.pad(_median(u, _FIRST), reach, mode="edge"), np.pad(u, reach, mode="edge")
     n, middle = u.size, rough[reach : reach + u.size]

@@ -279,3 +279,30 @@ def test_a_sensor_without_a_sign_is_named() -> None:
     w_signed = ph.simulate(m, {"gain": 30.0, "damping": 2.0}, plain.with_outputs({}), initial={"w": 0.0}).outputs["w"]
     level = ph.estimate(m, plain.with_outputs({"w": np.maximum(w_signed, 0.0)}))
     assert not any(f.cause == "w:unsigned" for f in ph.diagnose(level, candidates=library).findings)
+
+
+def test_play_before_a_load_encoder_is_named() -> None:
+    """A motor with a tachometer moves a load through a gear with play of 0.04 rad."""
+    gear = 0.02
+
+    def record(seed: int, name: str) -> ph.Experiment:
+        rng, t = np.random.default_rng(seed), np.arange(0.0, 10.0, 0.01)
+        u = steps(rng, t, -1.0, 1.0, 0.4)
+        angle, rate = integrated(lambda x, u: np.array([x[1], 6.0 * u - 4.0 * x[1]]), np.zeros(2), t, u, finer=8).T
+        load, now = np.zeros(t.size), 0.0
+        for k, at in enumerate(angle):
+            now = min(max(now, at - gear), at + gear)
+            load[k] = now
+        outputs = {"w": rate + 0.02 * rng.standard_normal(t.size), "load": np.round(load / 0.001) * 0.001}
+        return ph.Experiment(t, {"u": u}, outputs, name=name, interpolation="hold")
+
+    m = ph.Model("geared motor")
+    angle, w = m.states(angle="rad", w="rad/s")
+    (u,) = m.inputs(u="V")
+    gain, damping = m.parameters(gain=4.0, damping=3.0)
+    m.dynamics(angle=w, w=gain * u - damping * w)
+    m.outputs(w=w, load=(angle, "rad"))
+    library = ph.candidates(m).only("load:*", "w:delay", "w':lag_*", "u:*", "w':sign(w)")
+    d = ph.diagnose(ph.estimate(m, record(41, "one")), candidates=library, validation=record(42, "other"))
+    assert [f.cause for f in named(d)] == ["load:backlash"], d.summary()
+    assert named(d)[0].coefficient == pytest.approx(gear, rel=0.05)

@@ -92,9 +92,9 @@ def candidates(
     stored (a level, a pressure), first-order lags, friction that is larger at rest, hysteresis, a lightly damped mode,
     what is periodic in a position, a periodic disturbance, a limit of the whole where an input stands in it. States
     that go no further than a limit. In outputs: bias, scale, a characteristic that is not straight, drift, delay, lag,
-    clipping, linear terms, squares and products of rates, derivatives of rates, lags of inputs that act at once. On
-    inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of conditions (`Model.conditions`)
-    scale, bias and delay.
+    clipping, play of a position's sensor, linear terms, squares and products of rates, derivatives of rates, lags of
+    inputs that act at once. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of
+    conditions (`Model.conditions`) scale, bias and delay.
     Parameters of the state equations may change in the course of a record. What the model's parameters can do already
     is left out, and so is what another candidate says too: names of `FAMILIES` that stand first win.
 
@@ -382,6 +382,12 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
     yield ClippedSensor(
         f"{shown}:clipped", place, words, "clipped", scales, (), (names(f"limit_{y}"),), variables=(output_key(y),)
     )
+    if any(structure.is_position(v) and v.symbol in at_once for v in structure.variables):
+        words = f"the sensor of {y} has play: after a turn it stays until the motion has gone on by twice the estimate"
+        key = (output_key(y),)
+        yield Backlash(
+            f"{shown}:backlash", place, words, "backlash", scales, (), (names(f"backlash_{y}"),), variables=key
+        )
     words = f"the measurement of {y} follows with a lag (sensor or filter)"
     yield SensorLag(f"{shown}:lag", place, words, "lag", scales, (), (names(f"lag_{y}"),))
     if y not in structure.model.delays.outputs:

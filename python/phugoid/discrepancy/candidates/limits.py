@@ -17,7 +17,7 @@ from ...sensitivities import Points
 from ..misfit.phrases import per_second
 from .candidate import Candidate, Effect, ExtensionBuilder
 from .channel_effects import channel, cut_off
-from .scales import evaluated, of, rate_key
+from .scales import evaluated, of, output_key, rate_key
 
 __all__ = ["Backlash", "EndStop", "LimitedForce", "RateLimit", "StateLimit"]
 
@@ -299,7 +299,7 @@ _ROUNDED, _OF_PLAY, _SHARPEST = 0.003, 0.1, 1e-4
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Follower(Effect):
-    """A state z that follows the input u with a short time constant, and acts in its place."""
+    """A state z that follows an input or an output u with a short time constant, and takes its place."""
 
     stage: int = 3
 
@@ -348,20 +348,33 @@ class _Follower(Effect):
         (name,) = self.shape_names
         first = float(extension.start.get(name, self.shapes[len(self.shapes) // 2][name]))
         size = extension.parameter(name, first, **self.declared(model))
-        u = Expr.symbol(self.place.name)
+        of_output = self.place.kind == "output"
+        u = extension.at(self.place) if of_output else Expr.symbol(self.place.name)
         unit = model.units.get(self.place.name, "")
         z = extension.state(self._state, unit, lambda z: self.slope(u - z, size, first), u)
-        extension.replace_input(self.place.name, self.acting(z, self.slope(u - z, size, first)))
+        acting = self.acting(z, self.slope(u - z, size, first))
+        if of_output:
+            extension.put(self.place, acting)
+        else:
+            extension.replace_input(self.place.name, acting)
         return extension.model()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Backlash(_Follower):
     """The input has play: what acts stays where it is until the command has moved by the (half) width, and then follows
-    at that distance (Tao and Kokotovic 1996, section 2.2)."""
+    at that distance (Tao and Kokotovic 1996, section 2.2). Of an output: what the sensor is driven by has play."""
+
+    @property
+    def _span(self) -> float:
+        name = self.place.name
+        return self.scales.span(output_key(name) if self.place.kind == "output" else name)
 
     def grid(self) -> Iterable[float]:
-        return 0.5 * self.scales.span(self.place.name) * np.array([0.02, 0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
+        parts = np.array([0.02, 0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
+        # A position may go round many times, of which the play of its sensor is a small part.
+        finer = [0.0005, 0.001, 0.002, 0.005, 0.01] if self.place.kind == "output" else []
+        return 0.5 * self._span * np.r_[finer, parts]
 
     def path(self, t: _Array, u: _Array, size: float) -> _Array:
         z, now = np.empty(u.size), float(u[0])
@@ -372,8 +385,7 @@ class Backlash(_Follower):
 
     def slope(self, error: Expr, size: Expr, first: float) -> Expr:
         # Within the play nothing creeps but for exponentially little: records are many time constants long.
-        span = self.scales.span(self.place.name)
-        width = max(min(_ROUNDED * span, _OF_PLAY * first), _SHARPEST * span)
+        width = max(min(_ROUNDED * self._span, _OF_PLAY * first), _SHARPEST * self._span)
         above, below = error - size, error + size
         return Expr((above * smooth_step(above, width) + below * smooth_step(-below, width)) / self._tau)
 
@@ -382,10 +394,10 @@ class Backlash(_Follower):
         return Expr(z + self._tau * slope)
 
     def declared(self, model: Model) -> dict[str, Any]:
-        return {"bounds": (0.0, self.scales.span(self.place.name)), "unit": model.units.get(self.place.name, "")}
+        return {"bounds": (0.0, self._span), "unit": model.units.get(self.place.name, "")}
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        return {self.shape_names[0]: (0.0, 0.5 * self.scales.span(self.place.name))}
+        return {self.shape_names[0]: (0.0, 0.5 * self._span)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

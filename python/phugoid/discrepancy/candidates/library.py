@@ -215,6 +215,7 @@ def _term(
         form=form,
         shown=tuple(shown),
         unit=unit if form in ("bias", "drift") else "",
+        moving=len(factors) == 1 and (factors[0].speed or factors[0].rate),
     )
 
 

@@ -374,7 +374,7 @@ class Backlash(_Follower):
         parts = np.array([0.02, 0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
         # A position may go round many times, of which the play of its sensor is a small part.
         finer = [0.0005, 0.001, 0.002, 0.005, 0.01] if self.place.kind == "output" else []
-        return 0.5 * self._span * np.r_[finer, parts]
+        return 0.5 * self._span * np.concatenate([finer, parts])
 
     def path(self, t: _Array, u: _Array, size: float) -> _Array:
         z, now = np.empty(u.size), float(u[0])

@@ -40,6 +40,7 @@ class Form:
     suffix  the same in the name of the coefficient.
     words   the same in the explanation.
     centred whether factors are taken from their trims.
+    of_rate what it is called where the factor is a speed.
     """
 
     make: Callable[..., Expr]
@@ -47,6 +48,7 @@ class Form:
     suffix: str
     words: str
     centred: bool = True
+    of_rate: str = ""
 
 
 FORMS: Mapping[str, Form] = {
@@ -69,7 +71,8 @@ FORMS: Mapping[str, Form] = {
         lambda x, _: x * abs(x),
         "{0}|{0}|",
         "{0}_abs_{0}",
-        "has a part that goes with {0} times its size (quadratic damping, where {0} is a rate)",
+        "has a part that goes with {0} times its size",
+        of_rate="quadratic damping",
     ),
     "absolute": Form(
         lambda x, span: smooth_abs(x, _KINK * span), "|{0}|", "abs_{0}", "has a part that goes with the size of {0}"
@@ -87,8 +90,9 @@ FORMS: Mapping[str, Form] = {
         lambda x, span: smooth_sign(x, _JUMP * span),
         "sign({0})",
         "sign_{0}",
-        "jumps with the sign of {0} (Coulomb friction, where {0} is a rate)",
+        "jumps with the sign of {0}",
         centred=False,
+        of_rate="Coulomb friction",
     ),
     "drift": Form(lambda t: t, "drift", "drift", "drifts in proportion to time", centred=False),
 }
@@ -103,12 +107,16 @@ def where(place: Place) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Term(Effect):
-    """A coefficient times an expression: one of `FORMS` of its ``variables``, called as ``shown``, or ``given``."""
+    """A coefficient times an expression: one of `FORMS` of its ``variables``, called as ``shown``, or ``given``.
+
+    ``moving``: its variable is a speed.
+    """
 
     form: str = ""
     shown: tuple[str, ...] = ()
     given: Expr | None = None
     unit: str = ""
+    moving: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -118,7 +126,10 @@ class Term(Effect):
                 f"({n} {-c:+g})".replace("+", "+ ").replace("-", "- ") if c else n
                 for n, c in zip(self.shown, centres, strict=True)
             ]
-            object.__setattr__(self, "explanation", f"{where(self.place)} {FORMS[self.form].words.format(*names)}")
+            form = FORMS[self.form]
+            remark = f" ({form.of_rate})" if self.moving and form.of_rate else ""
+            words = f"{where(self.place)} {form.words.format(*names)}{remark}"
+            object.__setattr__(self, "explanation", words)
 
     @property
     def centred(self) -> bool:

@@ -115,7 +115,7 @@ class RefitCache:
         """Return the likeliest refit of a set from several starts of candidates that need them and are new."""
         known = near.parameters if near else {}
         points = self.base.linear.points
-        shares = {c.name: max((scan.share(c.name) for scan in self._scans.values()), default=1.0) for c in candidates}
+        shares = {c.name: self._share(c, candidates) for c in candidates}
         new = [c for c in candidates if c.several_starts and c.shape_names[0] not in known and shares[c.name] > _LARGE]
         best = refit(self.base.fit, candidates, starts, near, points)
         elsewhere = self.proposed.get(candidates[-1].name) if candidates else None
@@ -149,6 +149,13 @@ class RefitCache:
                 ends.append(refit(self.base.fit, candidates, {**starts, **shape}, near, points))
                 failed += ends[-1] is None
         return max((r for r in ends if r is not None), key=lambda r: r.fit.log_likelihood, default=None)
+
+    def _share(self, candidate: Candidate, among: Sequence[Candidate]) -> float:
+        """Return the part of the residuals' power that a candidate explains to first order beside the others of a set;
+        where that was not scanned, the greatest beside any."""
+        beside = self._scans.get(frozenset(c.name for c in among if c is not candidate))
+        scans = self._scans.values() if beside is None else [beside]
+        return max((scan.share(candidate.name) for scan in scans), default=1.0)
 
     def scan(self, at: Refit) -> Scan:
         """Return the scan of all others at a set."""

@@ -308,6 +308,10 @@ class _Follower(Effect):
         return True
 
     @property
+    def begins_measured(self) -> bool:
+        return True
+
+    @property
     def several_starts(self) -> bool:
         return True
 

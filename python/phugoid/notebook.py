@@ -7,6 +7,7 @@ that dark themes work; tables are cut off after `MOST` rows.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from html import escape
 from typing import TypeAlias
@@ -169,6 +170,8 @@ _GREEK = {
     "kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "xi": "ξ", "pi": "π", "rho": "ρ", "sigma": "σ", "tau": "τ",
     "phi": "φ", "chi": "χ", "psi": "ψ", "omega": "ω",
 }  # fmt: skip
+_VARIABLE = r"(0|[uvwpqrabV]|d[aerfst]|alpha|beta|theta)"
+_DERIVATIVE = re.compile(rf"(C)([DLTXYZlmn]){_VARIABLE}?|([LMNXYZ]){_VARIABLE}")
 _RELATIONS = {"lt": "&lt;", "le": "≤", "gt": "&gt;", "ge": "≥", "eq": "=", "ne": "≠"}
 _MATH = "<math displaystyle='true'>"
 _D = "<mi mathvariant='normal'>d</mi>"  # a dot above is lost in many fonts
@@ -269,12 +272,22 @@ def _fenced(part: tuple[str, int], least: int, always: bool = False) -> str:
 
 
 def _symbol(name: str, new: Collection[str]) -> str:
-    head, _, index = name.partition("_")
+    shown, derivative = name, _DERIVATIVE.fullmatch(name)
+    if derivative:  # Cma is C_mα, Mde is M_δe
+        shown = f"{derivative[1] or derivative[4]}_{derivative[2] or ''}{_about(derivative[3] or derivative[5] or '')}"
+    head, _, index = shown.partition("_")
     text = f"<mi>{escape(_GREEK.get(head, head))}</mi>" if head else f"<mi>{escape(name)}</mi>"
     if head and index:
         below = ",".join(_GREEK.get(part, part) for part in index.split("_"))
         text = f"<msub>{text}<mtext>{escape(below)}</mtext></msub>"
     return f"<mrow class='new'>{text}</mrow>" if name in new else text
+
+
+def _about(variable: str) -> str:
+    """Return the variable of a stability or control derivative as a symbol: a is α, de is δe."""
+    if variable[:1] == "d":
+        return f"δ{variable[1:]}"
+    return {"a": "α", "b": "β"}.get(variable, _GREEK.get(variable, variable))
 
 
 def _constant(value: float) -> tuple[str, int]:

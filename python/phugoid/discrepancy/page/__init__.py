@@ -7,9 +7,10 @@ import os
 import textwrap
 from typing import Any, Literal
 
+from ...figures.fit import sigmas_of
 from ...modelling.model import Model
 from ...notebook import equation
-from ...pages import PageTable, picture, render, sources
+from ...pages import PageTable, histories, picture, render, sources
 from ...parameters import Estimate
 from ...writing import PAGES, check_folder, check_suffix, write
 from ..misfit.misfit import Misfit, misfit
@@ -317,7 +318,13 @@ def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
     ]
     heads = ["channel", "what stands out", "RMS", "noise", "ratio", "predictable"]
     notes = list(dict.fromkeys(n for c in found.channels.values() for n in c.notes))
-    return {"table": PageTable(heads, rows, "ltrrrr"), "notes": notes, "pictures": pictures}
+    record = diagnosis.fit.records[0]
+    return {
+        "table": PageTable(heads, rows, "ltrrrr"),
+        "notes": notes,
+        "pictures": pictures,
+        "history": histories(record, sigmas_of(diagnosis.fit, record), *found.worst[:1]),
+    }
 
 
 def _cause(finding: Finding) -> dict[str, Any]:

@@ -84,7 +84,9 @@ def test_page_has_all_of_the_fit(fit: ph.Fit, tmp_path: Path) -> None:
 def test_page_holds_the_samples_that_its_script_draws(fit: ph.Fit, tmp_path: Path) -> None:
     """Values have the digits of a screen; a missing one is null, which JSON knows, and NaN is not."""
     fit.report(tmp_path / "fit.html")
-    held = re.findall(r"<script type='application/json'>(.*?)</script>", (tmp_path / "fit.html").read_text("utf-8"), re.S)
+    held = re.findall(
+        r"<script type='application/json'>(.*?)</script>", (tmp_path / "fit.html").read_text("utf-8"), re.S
+    )
     assert len(held) == len(fit.records)
     for text, record in zip(held, fit.records, strict=True):
         found = json.loads(text, parse_constant=lambda word: pytest.fail(word))

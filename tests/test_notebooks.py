@@ -153,6 +153,11 @@ SHOWN: dict[str, tuple[Callable[[ph.Fit], Any], Callable[[Any], list[str]], int]
         lambda b: ["4 of 4 runs converged", f"{b.std_errors['Mq']:.2g}", f"{b.intervals()['Mde'][1]:.5g}"],
         5,
     ),
+    "StateSpace": (
+        lambda fit: ph.linear.linearise(fit),
+        lambda s: ["q'", f"{s.A[0, 0]:.4g}", f"{s.B[0, 0]:.4g}", f"{s.modes[0].eigenvalue.real:.6g}", "2 states"],
+        0,
+    ),
     "Profiles": (
         lambda fit: fit.profile(["Mq", "Mde"]),
         lambda p: ["complete", "95 % from", *(f"{end:.5g}" for name in p for end in p[name].interval)],

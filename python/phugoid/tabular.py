@@ -1,4 +1,4 @@
-"""Records, experiments and estimates as tables of pandas and datasets of xarray.
+"""Records, experiments and estimates as tables of pandas and datasets of xarray, draws of parameters for arviz.
 
 What is sampled at times of its own keeps them: in a table there are rows for all times, NaN where a channel has no
 sample; in a dataset such a channel has a time axis of its own, ``time_<channel>``.
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import xarray
 
 __all__ = [
+    "arviz_draws",
     "estimates_frame",
     "experiment_dataset",
     "experiment_frame",
@@ -46,6 +47,15 @@ _GROUPS = {
     "innovation_std": "innovation_std",
     "predicted_states": "predicted_state",
 }
+
+
+def arviz_draws(draws: Mapping[str, _Array]) -> Any:
+    """Return draws of parameters, name -> (n,), as arviz takes them: one chain of its group ``posterior``."""
+    arviz = package("arviz", "to_arviz")
+    posterior = {name: values[np.newaxis] for name, values in draws.items()}
+    if arviz.__version__.startswith("0."):
+        return arviz.from_dict(posterior=posterior)
+    return arviz.from_dict({"posterior": posterior})
 
 
 def estimates_frame(estimates: Iterable[Any]) -> pandas.DataFrame:

@@ -49,8 +49,9 @@ def run_pages(app: Sphinx, doctree: nodes.document) -> None:
 @contextlib.contextmanager
 def _inside(folder: Path, text: str) -> Iterator[None]:
     """Work in a folder with the files of the examples that a text mentions; modules in it are forgotten at the end."""
-    from phugoid.cli import app as program
     from typer.testing import CliRunner
+
+    from phugoid.cli import app as program
 
     before = os.getcwd()
     for name in EXAMPLES:

@@ -125,7 +125,7 @@ def report(
     files: Sequence[str | os.PathLike[str]] = (),
     command: str = "",
 ) -> None:
-    """Write a fit as one HTML page that needs no network, for screen, phone and print: pictures and its script are inside.
+    """Write a fit as one HTML page for screen, phone and print, which needs no network: pictures and script are inside.
 
     Status, warnings, parameters with standard errors, the match of each output in numbers and figures,
     residuals, validation, equations, convergence of the solver, data and versions.

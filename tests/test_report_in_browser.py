@@ -24,8 +24,10 @@ PHONE, DESKTOP = 390, 1200
 # Written by the page around the report when that is laid out.
 MEASURE = """
 const page = document.getElementById('page').contentDocument, root = page.documentElement;
-const point = (canvas, kind, x) => canvas.dispatchEvent(new page.defaultView.PointerEvent(kind,
-  {clientX: canvas.getBoundingClientRect().left + x * canvas.clientWidth, clientY: canvas.getBoundingClientRect().top + 20, pointerId: 1}));
+const point = (canvas, kind, x) => {
+  const {left, top, width} = canvas.getBoundingClientRect(), at = {clientX: left + x * width, clientY: top + 20};
+  canvas.dispatchEvent(new page.defaultView.PointerEvent(kind, {...at, pointerId: 1}));
+};
 for (const canvas of [...page.querySelectorAll('.panel canvas')].slice(0, 1)) {
   canvas.setPointerCapture = () => 0;
   point(canvas, 'pointerdown', 0.4);
@@ -115,7 +117,7 @@ def test_page_fits_the_screen(kind: str, width: int, pages: dict[str, Path], tmp
     assert found["broken"] == 0 and found["lost"] == 0
     assert int(str(found["pictures"])) >= 2
     if kind == "fit":
-        # Three outputs, an input and the residuals over two variables; of the sample pointed at each panel says the values.
+        # Three outputs, an input and the residuals over two variables; each panel says the values where one points.
         assert found["drawn"] == 5 and found["zoomed"] is True
         spoken = found["spoken"]
         assert isinstance(spoken, list) and all(re.search(r"(measured|input) -?\d", text) for text in spoken[:4])

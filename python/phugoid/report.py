@@ -311,7 +311,7 @@ def _equations(fit: FitResult) -> tuple[dict[str, list[str]], list[str]]:
         groups[title].append(equation(f"y_{left}" if measured else left, e, rate=rate))
     delays = fit.model.delays
     late = [f"{name}(t) = {of}(t − {tau})" for name, (of, tau) in delays.inputs.items()]
-    late += [f"{output} is measured late, by {tau}" for output, tau in delays.outputs.items()]
+    late += [f"{output} is measured with the delay {tau}" for output, tau in delays.outputs.items()]
     late += [f"{name} is a measured condition" for name in fit.model.condition_names]
     late += [f"{state} at the {end} sample = {e}" for end, state, e in fit.model.end_conditions]
     return groups, late

@@ -337,7 +337,7 @@ def _free(fit: FitResult, named: Any, values: Any) -> tuple[str, ...]:
 def _known_parameter(fit: FitResult, name: str, where: str) -> None:
     names = fit.model.parameter_names
     if name in fit.noise_parameters:
-        raise ModelError(f"validate: {where}: '{name}' belongs to the noise, which is held as in the fit")
+        raise ModelError(f"validate: {where}: '{name}' belongs to the noise, which is fixed as in the fit")
     if name not in names:
         base = name.partition("[")[0]
         hint = f" Say '{base}', for all experiments." if base in names else did_you_mean(name, names)
@@ -397,7 +397,7 @@ def _check(fit: FitResult, e: Experiment, free: Sequence[str]) -> tuple[str, ...
             what = f"shares {same} samples with" if same < e.n else "is" if e.n == record.n else "is part of"
             return (
                 f"experiment '{e.name}' {what} the record '{record.name}' that the fit was made on: "
-                "how well it matches says nothing of other manoeuvres",
+                "its goodness of fit does not show how the model predicts other manoeuvres",
             )
     return ()
 

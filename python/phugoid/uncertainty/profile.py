@@ -182,7 +182,8 @@ class Profiles(Mapping[str, Profile]):
         """Return n draws of each parameter for the figures and tables of arviz, such as ``plot_forest``.
 
         They are those of a parameter whose signed root of the likelihood ratio is normal, as the intervals suppose, and
-        are independent of the draws of other parameters. Raises MissingDependency without arviz, OptionError for n below 2.
+        are independent of the draws of other parameters. Raises MissingDependency without arviz,
+        OptionError for n below 2.
         """
         if n < 2:
             raise OptionError(f"to_arviz: n is the number of draws, two or more, not {n}")

@@ -26,6 +26,7 @@ __all__ = [
     "notebook_page",
     "overview",
     "paragraph",
+    "readable",
     "sparkline",
     "table",
 ]
@@ -173,10 +174,26 @@ _GREEK = {
 _VARIABLE = r"(0|[uvwpqrabV]|d[aerfst]|alpha|beta|theta)"
 _DERIVATIVE = re.compile(rf"(C)([DLTXYZlmn]){_VARIABLE}?|([LMNXYZ]){_VARIABLE}")
 _RELATIONS = {"lt": "&lt;", "le": "≤", "gt": "&gt;", "ge": "≥", "eq": "=", "ne": "≠"}
+# Smooth forms of a saturation, u limited to ±s, and of a dead-band, u less that.
+_CLIP = re.compile(
+    r"0\.5\*\(sqrt\(\((\w+) \+ (\w+)\)\*\(\1 \+ \2\) \+ [\d.e+-]+\) - sqrt\(\(\1 - \2\)\*\(\1 - \2\) \+ [\d.e+-]+\)\)"
+)
+_LIMITED = re.compile(r"(\w+ - )?clip\((\w+), ±(\w+)\)")
 _MATH = "<math displaystyle='true'>"
 _D = "<mi mathvariant='normal'>d</mi>"  # a dot above is lost in many fonts
 _SIGNED = ("constant", "neg", "mul")  # a sign in front of these is that of the whole
 _LONGEST = 600  # characters of the plain text; longer equations are shown as that
+
+
+def readable(text: str) -> str:
+    """Return the text of an expression with smooth saturations and dead-bands as what they are.
+
+    >>> readable("b*(u + (-(0.5*(sqrt((u + s)*(u + s) + 9e-6) - sqrt((u - s)*(u - s) + 9e-6)))))")
+    'b*(u - clip(u, ±s))'
+    """
+    text = _CLIP.sub(r"clip(\1, ±\2)", text)
+    text = re.sub(r"(\w+) \+ \(-\((clip\(\1, ±\w+\))\)\)", r"\1 - \2", text)
+    return re.sub(r"(\w+) \+ (clip\(\1, ±\w+\)) - \1(?!\w)", r"\2", text)
 
 
 def equation(left: str, right: Expr, new: Collection[str] = (), *, rate: bool = False, cut: int | None = None) -> Html:
@@ -184,7 +201,7 @@ def equation(left: str, right: Expr, new: Collection[str] = (), *, rate: bool = 
 
     ``cut``: greatest number of characters of an equation as plain text; a longer one ends with an ellipsis.
     """
-    plain = str(right)
+    plain = readable(str(right))
     if len(plain) > (_LONGEST if cut is None else min(cut, _LONGEST)):
         prime = "'" if rate else ""
         shown = plain if cut is None or len(plain) <= cut else f"{plain[:cut]}…"
@@ -212,6 +229,10 @@ def _terms(e: Expr) -> list[tuple[str, Expr]]:
 def _markup(e: Expr, new: Collection[str]) -> tuple[str, int]:
     """Return the markup of an expression, and the precedence of its outermost operation."""
     operation, arguments = e.operation
+    if operation in ("mul", "add", "sub") and (m := _LIMITED.fullmatch(readable(str(e)))):
+        of, limit = (_symbol(name, new) for name in (m[2], m[3]))
+        clip = f"<mi>clip</mi><mo>(</mo>{of}<mo>,</mo><mo>±</mo>{limit}<mo>)</mo>"
+        return (f"<mrow>{of}<mo>−</mo>{clip}</mrow>", _SUM) if m[1] else (f"<mrow>{clip}</mrow>", _ATOM)
     if operation == "symbol":
         return _symbol(e.name or str(e), new), _ATOM
     if operation == "constant":

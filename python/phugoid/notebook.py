@@ -230,9 +230,9 @@ def _markup(e: Expr, new: Collection[str]) -> tuple[str, int]:
     """Return the markup of an expression, and the precedence of its outermost operation."""
     operation, arguments = e.operation
     if operation in ("mul", "add", "sub") and (m := _LIMITED.fullmatch(readable(str(e)))):
-        of, limit = (_symbol(name, new) for name in (m[2], m[3]))
-        clip = f"<mi>clip</mi><mo>(</mo>{of}<mo>,</mo><mo>±</mo>{limit}<mo>)</mo>"
-        return (f"<mrow>{of}<mo>−</mo>{clip}</mrow>", _SUM) if m[1] else (f"<mrow>{clip}</mrow>", _ATOM)
+        within, limit = _symbol(m[2], new), _symbol(m[3], new)
+        clip = f"<mi>clip</mi><mo>(</mo>{within}<mo>,</mo><mo>±</mo>{limit}<mo>)</mo>"
+        return (f"<mrow>{within}<mo>−</mo>{clip}</mrow>", _SUM) if m[1] else (f"<mrow>{clip}</mrow>", _ATOM)
     if operation == "symbol":
         return _symbol(e.name or str(e), new), _ATOM
     if operation == "constant":

@@ -100,7 +100,8 @@ class Profile:
         if x.size < 2:
             return np.full(z.size, np.nan)
         low, high = ((y[i + 1] - y[i]) / (x[i + 1] - x[i]) for i in (0, -2))
-        return np.interp(z, x, y) + np.minimum(z - x[0], 0.0) * low + np.maximum(z - x[-1], 0.0) * high
+        found: _Array = np.interp(z, x, y) + np.minimum(z - x[0], 0.0) * low + np.maximum(z - x[-1], 0.0) * high
+        return found
 
     def _cells(self, z: float) -> list[str]:
         """Return the row of a table, with the interval of so many standard errors."""

@@ -233,7 +233,7 @@ def test_the_figure_shows_the_distribution_of_each_parameter() -> None:
 
 
 def test_runs_are_draws_for_arviz(white: ph.Fit) -> None:
-    pytest.importorskip("arviz")
+    pytest.importorskip("arviz_base")
     b = white.bootstrap(6)
     drawn = b.to_arviz()["posterior"]
     for name, values in zip(b.names, b.estimates.T, strict=True):

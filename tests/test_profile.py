@@ -190,7 +190,7 @@ def test_bad_input() -> None:
 
 
 def test_draws_for_arviz_have_the_intervals_of_the_profile() -> None:
-    pytest.importorskip("arviz")
+    pytest.importorskip("arviz_base")
     profiles = linear().profile()
     drawn = profiles.to_arviz(n=4000)["posterior"]
     for name, p in profiles.items():

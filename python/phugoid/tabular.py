@@ -51,11 +51,8 @@ _GROUPS = {
 
 def arviz_draws(draws: Mapping[str, _Array]) -> Any:
     """Return draws of parameters, name -> (n,), as arviz takes them: one chain of its group ``posterior``."""
-    arviz = package("arviz", "to_arviz")
-    posterior = {name: values[np.newaxis] for name, values in draws.items()}
-    if arviz.__version__.startswith("0."):
-        return arviz.from_dict(posterior=posterior)
-    return arviz.from_dict({"posterior": posterior})
+    base = package("arviz_base", "to_arviz", "arviz")
+    return base.from_dict({"posterior": {name: values[np.newaxis] for name, values in draws.items()}})
 
 
 def estimates_frame(estimates: Iterable[Any]) -> pandas.DataFrame:
@@ -158,12 +155,13 @@ def fit_dataset(
     return data
 
 
-def package(name: str, caller: str) -> Any:
-    """Import and return a package of the extra of its name; raise MissingDependency where it is not installed."""
+def package(name: str, caller: str, extra: str = "") -> Any:
+    """Import and return a package of an extra, that of its name by default; raise MissingDependency where it is not
+    installed."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise MissingDependency(f'{caller} needs {name} ({error}): pip install "phugoid[{name}]"') from error
+        raise MissingDependency(f'{caller} needs {name} ({error}): pip install "phugoid[{extra or name}]"') from error
 
 
 def _channels(e: Any) -> list[tuple[str, str, _Array]]:

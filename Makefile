@@ -6,7 +6,10 @@ PYTHON ?= python3
 VENV   ?= .venv
 CARGO  ?= cargo
 # A Python that the lowest supported numpy has wheels for.
-OLD_PYTHON ?= $(shell command -v python3.10 || command -v python3.11)
+OLD_PYTHON ?= $(shell for p in python3.10 python3.11; do $$p -c '' 2>/dev/null && echo $$p && break; done)
+# Platforms for which `make wheels` builds, as Rust names them, and a free-threaded Python, such as python3.14t.
+WHEEL_TARGETS ?= x86_64-unknown-linux-gnu aarch64-unknown-linux-gnu x86_64-unknown-linux-musl aarch64-unknown-linux-musl
+FREE_THREADED ?=
 # Options for pytest, such as PYTEST="-k collocation -x".
 PYTEST ?=
 
@@ -16,6 +19,8 @@ sources := Cargo.toml $(wildcard Cargo.lock) pyproject.toml $(wildcard README.md
                     -o -type d ! -name __pycache__)
 
 activate := . $(VENV)/bin/activate &&
+build_wheel := maturin build --release --locked --zig --out out/wheels
+own_wheel := out/wheels/*abi3-manylinux*$(shell uname -m).whl
 export MPLBACKEND := Agg
 # The blocks that Ipopt's linear solver works on are tiny: more BLAS threads only get into each other's way.
 export OPENBLAS_NUM_THREADS := 1
@@ -57,15 +62,22 @@ docs: $(VENV)/.package
 	$(py) -m sphinx -q -W --keep-going -d out/doctrees docs out/docs
 	@echo "out/docs/index.html"
 
-# A wheel for Linux with the glibc of 2014 or a later one (linked by zig), and the source distribution. The wheel is tried without
-# Rust: at the lowest versions of what it needs, where there is a Python that they know, and at the newest.
+# Wheels for Linux: with the glibc of 2014 or a later one, and with musl (both linked by zig), and the source distribution. One
+# abi3 wheel serves Python 3.10 and later; a free-threaded Python, if FREE_THREADED names one, gets a wheel of its own. Those that
+# this machine can run are tried without Rust: at the lowest versions of what they need, where there is a Python that these know,
+# and at the newest.
 wheels: $(VENV)/.created
 	$(py) -m pip install --quiet "maturin>=1.7,<2" ziglang
+	rustup target add $(WHEEL_TARGETS) || { echo "make wheels: install Rust's library for each of $(WHEEL_TARGETS)," \
+	  "or name those that you have: make wheels WHEEL_TARGETS=$(firstword $(WHEEL_TARGETS))"; exit 1; }
 	rm -rf out/wheels
-	$(activate) maturin build --release --locked --zig --compatibility manylinux2014 --out out/wheels
+	$(activate) $(foreach t,$(WHEEL_TARGETS),$(build_wheel) --target $t --compatibility $(if $(findstring musl,$t),musllinux_1_2,manylinux2014) &&) true
+	$(if $(FREE_THREADED),$(activate) $(build_wheel) --target $(firstword $(WHEEL_TARGETS)) --compatibility manylinux2014 --interpreter $(FREE_THREADED))
 	$(activate) maturin sdist --out out/wheels
-	$(if $(OLD_PYTHON),$(py) tools/try_wheel.py out/wheels/*.whl --titles --versions lowest --python $(OLD_PYTHON))
-	$(py) tools/try_wheel.py out/wheels/*.whl --titles --versions newest --python $(PYTHON)
+	$(if $(OLD_PYTHON),$(py) tools/try_wheel.py $(own_wheel) --titles --versions lowest --python $(OLD_PYTHON))
+	$(py) tools/try_wheel.py $(own_wheel) --titles --versions newest --python $(PYTHON)
+	$(if $(FREE_THREADED),$(py) tools/try_wheel.py out/wheels/*t-manylinux*.whl --versions newest --python $(FREE_THREADED))
+	ls -l out/wheels
 
 lint: $(VENV)/.package $(VENV)/.lint
 	$(py) tools/check_layers.py

@@ -28,6 +28,7 @@ extensions = [
     "myst_parser",
     "sphinx_copybutton",
     "docstrings",
+    "executed",
     "mathml",
 ]
 exclude_patterns = ["_build", "gallery", "gallery/*"]

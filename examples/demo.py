@@ -2,7 +2,7 @@
 
 The model of the paper is fitted to the HFB-320 flight record, where that is found. Then it is fitted to the elevator
 3-2-1-1 of the first 20 s alone, must predict the rest, and is diagnosed. Otherwise two manoeuvres are simulated, with a
-late elevator and an angle-of-attack vane that reads too much, which the model does not have: the diagnosis finds them.
+delayed elevator and an angle-of-attack vane of a wrong scale, which the model does not have: the diagnosis finds them.
 
     python examples/demo.py [--out out]
 """

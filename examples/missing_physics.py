@@ -1,6 +1,6 @@
 """What a model misses: from a fit to a cause, an extended model and a page for a colleague.
 
-A simulated twin of the HFB-320 record has more to it than the paper's model: its elevator acts late, and its vane reads
+A simulated twin of the HFB-320 record differs from the paper's model: its elevator has a delay, and its vane reads
 too much, as one in the upwash ahead of a wing does. The model, which knows neither, fits the record well enough to be
 believed: all parameters converge, with small standard errors, and are wrong. `diagnose` is told nothing of this. It
 reads the residuals, tries some 250 candidates, and comes to one of three ends:

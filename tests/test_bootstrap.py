@@ -230,3 +230,11 @@ def test_the_figure_shows_the_distribution_of_each_parameter() -> None:
     assert axes["k"].patches and [*found.plot(["c"])[1]] == ["c"]
     with pytest.raises(ph.errors.UnknownName, match="there is no parameter 'z'"):
         found.plot(["z"])
+
+
+def test_runs_are_draws_for_arviz(white: ph.Fit) -> None:
+    pytest.importorskip("arviz_base")
+    b = white.bootstrap(6)
+    drawn = b.to_arviz()["posterior"]
+    for name, values in zip(b.names, b.estimates.T, strict=True):
+        assert np.array_equal(np.asarray(drawn[name]), values[np.newaxis])

@@ -184,8 +184,8 @@ def test_a_collection_is_read_by_number_name_and_pattern(library: ph.results.Can
     assert len(library.without("*:lag_*", "Cm:periodic")) == len(library) - 7
     assert (library.only("Cm:*") + library.only("de:*")).names == library.only("Cm:*", "de:*").names
     assert {c.family for c in library} < {*FAMILIES}  # type: ignore[attr-defined]
-    assert "Cm has a part that goes with the product of (alpha - 0.05" in str(library)
-    assert "Cm has a part that goes with the product of alpha and q" in str(ph.candidates(pitch()))
+    assert "Cm contains a term proportional to the product of (alpha - 0.05" in str(library)
+    assert "Cm contains a term proportional to the product of alpha and q" in str(ph.candidates(pitch()))
     again = pickle.loads(pickle.dumps(library))
     assert again.names == library.names and str(again["Cm:alpha^2"].extended(pitch())) == str(
         library["Cm:alpha^2"].extended(pitch())

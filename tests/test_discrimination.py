@@ -75,7 +75,7 @@ def test_a_faster_input_tells_a_late_sensor_from_a_slow_one() -> None:
     assert told.gains["x:lag"] > DISCRIMINATES > 2 * told.here
     assert not advice.alike
     assert pace(told.record.input("u")) > 1.5 * pace(final.fit.records[0].inputs["u"])
-    assert "tell it from x:lag (expected gain in log-likelihood" in str(advice)
+    assert "distinguish it from x:lag (expected gain in log-likelihood" in str(advice)
 
 
 def test_a_larger_motion_tells_two_nonlinear_springs_apart() -> None:
@@ -98,7 +98,7 @@ def test_nothing_tells_one_effect_by_two_names() -> None:
     assert CandidateManoeuvres(final).gains(same, 0.0).max() < 1e-3
     text = discrimination_advice(final, [same])
     assert text.startswith("No manoeuvre of u tried here")
-    assert text.endswith("would tell it from drive:x^3: they act alike.")
+    assert text.endswith("would distinguish it from drive:x^3: they act alike.")
     # Beside a rival that can be told, both are said.
     both = advised(final, [same, other])
     assert [list(t.gains) for t in both.manoeuvres] == [["f:x|x|"]]

@@ -301,12 +301,59 @@ def test_map_names_every_folder_of_the_package() -> None:
     assert [name for name in sorted(folders) if f"`{name}/`" not in text] == []
 
 
+PAGE = """# One
+
+```python
+import matplotlib.pyplot as plt
+from servo import m
+print("of", len(m.state_names), "states")
+figure, axes = plt.subplots()
+```
+
+```python
+print("known")
+```
+
+```text
+known
+```
+"""
+
+
+@pytest.mark.parametrize("switch", ["1", "0"])
+def test_pages_show_what_their_code_prints_and_draws(switch: str, tmp_path: Path) -> None:
+    pytest.importorskip("myst_parser")
+    (tmp_path / "conf.py").write_text(f"import sys\nsys.path.insert(0, {str(DOCS / '_ext')!r})\n"
+                                      "extensions = ['myst_parser', 'executed']\n")  # fmt: skip
+    page = tmp_path / "index.md"
+    page.write_text(PAGE, encoding="utf-8")
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-q",
+        "-W",
+        "-D",
+        f"run_pages={switch}",
+        str(tmp_path),
+        str(tmp_path / "html"),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    made = (tmp_path / "html" / "index.html").read_text(encoding="utf-8")
+    text = re.sub("<[^>]+>", "", made)
+    assert ("of 2 states" in text) == ("_images/index-1.png" in made) == (switch == "1") and text.count("\nknown") == 1
+    page.write_text(PAGE.replace("servo", "nothing"), encoding="utf-8")
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode != 0 and "nothing" in done.stderr) == (switch == "1")
+
+
 @pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in ("sphinx", "furo", "myst_parser", "sphinx_gallery")),
     reason="building the documentation needs the extra 'docs'",
 )
 def test_pages_build_without_a_warning(tmp_path: Path) -> None:
-    """Without running the gallery, which has a test of its own."""
+    """Without running the gallery and the pages, which have tests of their own."""
     source = tmp_path / "docs"
     shutil.copytree(DOCS, source, ignore=shutil.ignore_patterns("_build", "examples", "__pycache__"))
     for name in ("CHANGELOG.md", "CONTRIBUTING.md", "README.md"):
@@ -314,7 +361,7 @@ def test_pages_build_without_a_warning(tmp_path: Path) -> None:
     for part in ("rust/core/README.md", "benchmarks/README.md"):
         (tmp_path / part).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / part, tmp_path / part)
-    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-D", "plot_gallery=0", "-b", "html"]
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-D", "plot_gallery=0", "-D", "run_pages=0"]
     done = subprocess.run([*command, str(source), str(tmp_path / "html")], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     start = (tmp_path / "html" / "start.html").read_text(encoding="utf-8")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,7 +15,9 @@ import pytest
 
 import phugoid as ph
 from phugoid.errors import DataError, OptionError
+from phugoid.pages import histories
 from phugoid.parameters import Estimate, Estimates
+from phugoid.records import Record
 from phugoid.report import remarks
 
 VOID = {"meta", "img", "br"}
@@ -75,7 +78,30 @@ def test_page_has_all_of_the_fit(fit: ph.Fit, tmp_path: Path) -> None:
     # Of each record the match and the residuals; intervals, correlations and the solver's way.
     assert source.count("<img ") == 2 * len(fit.records) + 3
     assert len(re.findall(r"<img [^>]*alt='[^']+'", source)) == source.count("<img ")
-    assert re.search(r"<(script|link)\b|src='http|url\(", source) is None
+    assert re.search(r"<link\b|<script[^>]* src|src='http|url\(", source) is None
+
+
+def test_page_holds_the_samples_that_its_script_draws(fit: ph.Fit, tmp_path: Path) -> None:
+    """Values have the digits of a screen; a missing one is null, which JSON knows, and NaN is not."""
+    fit.report(tmp_path / "fit.html")
+    held = re.findall(
+        r"<script type='application/json'>(.*?)</script>", (tmp_path / "fit.html").read_text("utf-8"), re.S
+    )
+    assert len(held) == len(fit.records)
+    for text, record in zip(held, fit.records, strict=True):
+        found = json.loads(text, parse_constant=lambda word: pytest.fail(word))
+        assert found["t"] == pytest.approx(record.t) and found["values"]["z x"][5] is None
+        assert found["values"]["y x"] == pytest.approx(record.outputs["x"], abs=np.ptp(record.outputs["x"]) / 5000)
+        (output, drive) = found["panels"]
+        assert output["band"] == pytest.approx(2 * fit.parameters["sigma_x"].value) and output["residual"] == "r x"
+        assert drive["title"] == "u, m/s" and found["variables"] == ["x x", "u u"]
+
+
+def test_of_a_long_record_some_samples_are_drawn() -> None:
+    t = np.arange(10_001) * 0.01
+    held = histories(Record(name="long", t=t, inputs={"u": t}, outputs={"y": np.full(t.size, np.nan)}, states={}))
+    assert len(held["t"]) == len(held["values"]["u u"]) == 2501 and "One sample of 4" in held["note"]
+    assert held["values"]["y y"] == [None] * 2501
 
 
 def test_page_of_a_saved_fit_is_the_same(fit: ph.Fit, tmp_path: Path) -> None:

@@ -189,7 +189,7 @@ def test_what_residuals_follow_is_named_with_its_sign() -> None:
     assert up.follows is not None and up.follows.variable == "q"
     assert up.follows.r == pytest.approx(math.sqrt(0.5), abs=0.08)
     assert "follows q (r = 0.6" in up.summary() or "follows q (r = 0.7" in up.summary()
-    assert down.follows is not None and down.follows.r < 0 and "goes against q" in down.summary()
+    assert down.follows is not None and down.follows.r < 0 and "opposes q" in down.summary()
 
 
 def test_slow_series_have_few_effective_samples() -> None:
@@ -402,7 +402,7 @@ def test_of_a_model_that_misses_nothing_nothing_is_claimed() -> None:
 
 
 def test_a_late_vane_shows_in_the_fit() -> None:
-    """ATTAS, or its twins: the vane measures alpha late, so that its residual goes against the rate."""
+    """ATTAS, or its twins: the vane measures alpha with a delay, so that its residual opposes the rate."""
     runs = attas.records()
     without = misfit(ph.estimate(attas.model(vane=False), runs)).channels["alpha"]
     assert without.follows is not None and without.follows.variable == "q" and without.follows.r < -0.8

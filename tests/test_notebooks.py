@@ -14,7 +14,7 @@ import pictures
 import pytest
 
 import phugoid as ph
-from phugoid.notebook import MOST, Html, bullets, notebook_page, paragraph, sparkline, table
+from phugoid.notebook import MOST, Html, bullets, equation, notebook_page, paragraph, sparkline, table
 from phugoid.parameters import Estimate, Estimates
 
 EVIL = "<script>alert('1')</script> & more"
@@ -153,6 +153,11 @@ SHOWN: dict[str, tuple[Callable[[ph.Fit], Any], Callable[[Any], list[str]], int]
         lambda b: ["4 of 4 runs converged", f"{b.std_errors['Mq']:.2g}", f"{b.intervals()['Mde'][1]:.5g}"],
         5,
     ),
+    "StateSpace": (
+        lambda fit: ph.linear.linearise(fit),
+        lambda s: ["q'", f"{s.A[0, 0]:.4g}", f"{s.B[0, 0]:.4g}", f"{s.modes[0].eigenvalue.real:.6g}", "2 states"],
+        0,
+    ),
     "Profiles": (
         lambda fit: fit.profile(["Mq", "Mde"]),
         lambda p: ["complete", "95 % from", *(f"{end:.5g}" for name in p for end in p[name].interval)],
@@ -258,3 +263,17 @@ def test_a_sparkline_is_small_keeps_peaks_and_gaps() -> None:
     assert len(re.findall("<polyline", sparkline(gap, gap))) == 4
     assert sparkline([np.nan, 1.0]) == "" and sparkline([]) == ""
     assert "<polyline" in sparkline([1.0, 1.0])  # a constant
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"), [("deadband", "- clip(de, ±deadband_de)"), ("saturation", "clip(de, ±saturation_de)")]
+)
+def test_dead_bands_and_saturations_read_as_such(kind: str, said: str, fit: ph.Fit) -> None:
+    extended = ph.candidates(fit.model)[f"de:{kind}"].extended(fit.model)
+    assert said in str(extended) and "sqrt" not in str(extended)
+    markup = equation("q", extended.equations["q'"], rate=True)
+    assert (
+        "<mi>clip</mi>" in markup
+        and "<msqrt>" not in markup
+        and ("<mo>−</mo><mi>clip" in markup) == (kind == "deadband")
+    )

@@ -12,6 +12,7 @@ from matplotlib import pyplot as plt
 from oscillator import measured, model
 
 import phugoid as ph
+from phugoid import OptionError
 
 Z = 1.959963984540054
 
@@ -186,3 +187,23 @@ def test_bad_input() -> None:
     )
     with pytest.raises(ph.errors.OptionError, match="has not converged"):
         unfinished.profile()
+
+
+def test_draws_for_arviz_have_the_intervals_of_the_profile() -> None:
+    pytest.importorskip("arviz_base")
+    profiles = linear().profile()
+    drawn = profiles.to_arviz(n=4000)["posterior"]
+    for name, p in profiles.items():
+        values = np.asarray(drawn[name])
+        assert values.shape == (1, 4000)
+        assert np.quantile(values, [0.025, 0.975]) == pytest.approx(p.interval, abs=0.02 * p.std_error)
+        assert values.std() == pytest.approx(p.std_error, rel=0.02)
+    assert abs(np.corrcoef(np.asarray(drawn["a"])[0], np.asarray(drawn["b"])[0])[0, 1]) < 0.05
+    with pytest.raises(OptionError, match="two or more, not 1"):
+        profiles.to_arviz(1)
+
+
+def test_quantiles_follow_a_likelihood_that_is_no_parabola() -> None:
+    (p,) = squared().profile().values()
+    low, high = p.interval
+    assert p.quantiles([0.025, 0.5, 0.975]) == pytest.approx([low, p.value, high], rel=1e-3)

@@ -24,6 +24,16 @@ PHONE, DESKTOP = 390, 1200
 # Written by the page around the report when that is laid out.
 MEASURE = """
 const page = document.getElementById('page').contentDocument, root = page.documentElement;
+const point = (canvas, kind, x) => {
+  const {left, top, width} = canvas.getBoundingClientRect(), at = {clientX: left + x * width, clientY: top + 20};
+  canvas.dispatchEvent(new page.defaultView.PointerEvent(kind, {...at, pointerId: 1}));
+};
+for (const canvas of [...page.querySelectorAll('.panel canvas')].slice(0, 1)) {
+  canvas.setPointerCapture = () => 0;
+  point(canvas, 'pointerdown', 0.4);
+  point(canvas, 'pointermove', 0.6);
+  point(canvas, 'pointerup', 0.6);
+}
 const box = root.getBoundingClientRect(), out = [];
 for (const e of page.body.querySelectorAll('h1,h2,h3,p,li,dd,dt,summary,article,figcaption,.wide,.shot,.equation')) {
   const r = e.getBoundingClientRect();
@@ -35,6 +45,10 @@ const result = {
   broken: [...page.images].filter(i => !i.naturalWidth).length, pictures: page.images.length,
   coarsest: Math.min(...pictures.map(i => 200 * i.getBoundingClientRect().width / i.naturalWidth)),
   formulas: [...page.querySelectorAll('math')].filter(m => m.getBoundingClientRect().height > 8).length,
+  zoomed: page.querySelector('.bar button')?.disabled === false,
+  drawn: [...page.querySelectorAll('canvas')].filter(c => c.clientWidth && c.width &&
+    c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some(v => v)).length,
+  spoken: [...page.querySelectorAll('.head')].map(e => e.textContent),
   lost: [...page.querySelectorAll('.formula')].filter(m => m.getBoundingClientRect().width < 20).length,
 };
 document.body.innerHTML = '<p id="result">' + JSON.stringify(result).replaceAll('<', '&lt;') + '</p>';
@@ -103,6 +117,10 @@ def test_page_fits_the_screen(kind: str, width: int, pages: dict[str, Path], tmp
     assert found["broken"] == 0 and found["lost"] == 0
     assert int(str(found["pictures"])) >= 2
     if kind == "fit":
+        # Three outputs, an input and the residuals over two variables; each panel says the values where one points.
+        assert found["drawn"] == 5 and found["zoomed"] is True
+        spoken = found["spoken"]
+        assert isinstance(spoken, list) and all(re.search(r"(measured|input) -?\d", text) for text in spoken[:4])
         assert int(str(found["formulas"])) >= 5
     # Pixels of the screen an inch of the figure: letters of 8 points need 75. On a phone figures scroll by themselves.
     assert float(str(found["coarsest"])) > 75.0

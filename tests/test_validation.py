@@ -106,6 +106,21 @@ def test_what_is_held_does_not_move(fit: ph.Fit) -> None:
         assert v.records[0].outputs[name] == pytest.approx(path.outputs[name], abs=1e-6)
 
 
+def test_initial_states_of_the_first_samples_then_simulation(fit: ph.Fit) -> None:
+    """Later samples change neither the states nor the bias, but count in the match."""
+    e = record(1)
+    moved = {n: np.where(np.arange(120) < 30, e.output(n), e.output(n) + 5.0) for n in SIGMA}
+    v = fit.validate(e, initial_samples=30)
+    other = fit.validate(e.with_outputs(moved, name="other"), initial_samples=30)
+    for name in SIGMA:
+        assert other.records[0].outputs[name] == pytest.approx(v.records[0].outputs[name], abs=1e-6)
+        assert v.residuals[name] == pytest.approx(e.output(name) - v.records[0].outputs[name])
+        assert v.matches[name].samples == 120 and v.matches[name].rms < 2 * SIGMA[name] < other.matches[name].rms
+    assert v.freed["b"].std_error > 1.5 * fit.validate(e).freed["b"].std_error
+    with pytest.raises(OptionError, match="initial_samples is a whole number from 1, not 0"):
+        fit.validate(e, initial_samples=0)
+
+
 def test_residuals_of_the_only_experiment(fit: ph.Fit) -> None:
     v = fit.validate(record(1))
     for name in SIGMA:

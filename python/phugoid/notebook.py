@@ -7,6 +7,7 @@ that dark themes work; tables are cut off after `MOST` rows.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from html import escape
 from typing import TypeAlias
@@ -25,6 +26,7 @@ __all__ = [
     "notebook_page",
     "overview",
     "paragraph",
+    "readable",
     "sparkline",
     "table",
 ]
@@ -169,11 +171,29 @@ _GREEK = {
     "kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "xi": "ξ", "pi": "π", "rho": "ρ", "sigma": "σ", "tau": "τ",
     "phi": "φ", "chi": "χ", "psi": "ψ", "omega": "ω",
 }  # fmt: skip
+_VARIABLE = r"(0|[uvwpqrabV]|d[aerfst]|alpha|beta|theta)"
+_DERIVATIVE = re.compile(rf"(C)([DLTXYZlmn]){_VARIABLE}?|([LMNXYZ]){_VARIABLE}")
 _RELATIONS = {"lt": "&lt;", "le": "≤", "gt": "&gt;", "ge": "≥", "eq": "=", "ne": "≠"}
+# Smooth forms of a saturation, u limited to ±s, and of a dead-band, u less that.
+_CLIP = re.compile(
+    r"0\.5\*\(sqrt\(\((\w+) \+ (\w+)\)\*\(\1 \+ \2\) \+ [\d.e+-]+\) - sqrt\(\(\1 - \2\)\*\(\1 - \2\) \+ [\d.e+-]+\)\)"
+)
+_LIMITED = re.compile(r"(\w+ - )?clip\((\w+), ±(\w+)\)")
 _MATH = "<math displaystyle='true'>"
 _D = "<mi mathvariant='normal'>d</mi>"  # a dot above is lost in many fonts
 _SIGNED = ("constant", "neg", "mul")  # a sign in front of these is that of the whole
 _LONGEST = 600  # characters of the plain text; longer equations are shown as that
+
+
+def readable(text: str) -> str:
+    """Return the text of an expression with smooth saturations and dead-bands as what they are.
+
+    >>> readable("b*(u + (-(0.5*(sqrt((u + s)*(u + s) + 9e-6) - sqrt((u - s)*(u - s) + 9e-6)))))")
+    'b*(u - clip(u, ±s))'
+    """
+    text = _CLIP.sub(r"clip(\1, ±\2)", text)
+    text = re.sub(r"(\w+) \+ \(-\((clip\(\1, ±\w+\))\)\)", r"\1 - \2", text)
+    return re.sub(r"(\w+) \+ (clip\(\1, ±\w+\)) - \1(?!\w)", r"\2", text)
 
 
 def equation(left: str, right: Expr, new: Collection[str] = (), *, rate: bool = False, cut: int | None = None) -> Html:
@@ -181,7 +201,7 @@ def equation(left: str, right: Expr, new: Collection[str] = (), *, rate: bool = 
 
     ``cut``: greatest number of characters of an equation as plain text; a longer one ends with an ellipsis.
     """
-    plain = str(right)
+    plain = readable(str(right))
     if len(plain) > (_LONGEST if cut is None else min(cut, _LONGEST)):
         prime = "'" if rate else ""
         shown = plain if cut is None or len(plain) <= cut else f"{plain[:cut]}…"
@@ -209,6 +229,10 @@ def _terms(e: Expr) -> list[tuple[str, Expr]]:
 def _markup(e: Expr, new: Collection[str]) -> tuple[str, int]:
     """Return the markup of an expression, and the precedence of its outermost operation."""
     operation, arguments = e.operation
+    if operation in ("mul", "add", "sub") and (m := _LIMITED.fullmatch(readable(str(e)))):
+        within, limit = _symbol(m[2], new), _symbol(m[3], new)
+        clip = f"<mi>clip</mi><mo>(</mo>{within}<mo>,</mo><mo>±</mo>{limit}<mo>)</mo>"
+        return (f"<mrow>{within}<mo>−</mo>{clip}</mrow>", _SUM) if m[1] else (f"<mrow>{clip}</mrow>", _ATOM)
     if operation == "symbol":
         return _symbol(e.name or str(e), new), _ATOM
     if operation == "constant":
@@ -269,12 +293,22 @@ def _fenced(part: tuple[str, int], least: int, always: bool = False) -> str:
 
 
 def _symbol(name: str, new: Collection[str]) -> str:
-    head, _, index = name.partition("_")
+    shown, derivative = name, _DERIVATIVE.fullmatch(name)
+    if derivative:  # Cma is C_mα, Mde is M_δe
+        shown = f"{derivative[1] or derivative[4]}_{derivative[2] or ''}{_about(derivative[3] or derivative[5] or '')}"
+    head, _, index = shown.partition("_")
     text = f"<mi>{escape(_GREEK.get(head, head))}</mi>" if head else f"<mi>{escape(name)}</mi>"
     if head and index:
         below = ",".join(_GREEK.get(part, part) for part in index.split("_"))
         text = f"<msub>{text}<mtext>{escape(below)}</mtext></msub>"
     return f"<mrow class='new'>{text}</mrow>" if name in new else text
+
+
+def _about(variable: str) -> str:
+    """Return the variable of a stability or control derivative as a symbol: a is α, de is δe."""
+    if variable[:1] == "d":
+        return f"δ{variable[1:]}"
+    return {"a": "α", "b": "β"}.get(variable, _GREEK.get(variable, variable))
 
 
 def _constant(value: float) -> tuple[str, int]:

@@ -6,6 +6,7 @@ import base64
 import datetime
 import hashlib
 import io
+import math
 import os
 import platform
 from collections.abc import Mapping, Sequence
@@ -13,20 +14,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 import phugoid._core as _core
 
 from .data.experiment import Experiment
+from .data.interpolation import kind_of
 from .errors import DataError
+from .figures import labelled
 from .records import Record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["PageTable", "Picture", "picture", "render", "sources"]
+__all__ = ["PageTable", "Picture", "histories", "picture", "render", "sources"]
+
+FloatArray = NDArray[np.float64]
 
 _DPI = 200  # sharp on a page of paper, and on a phone held close
 _COLOURS = 128  # a palette of so many shades takes a third of the bytes, and looks the same
 _PIXELS = 96.0  # of a screen in an inch
+_SAMPLES = 3000  # drawn by the page's script; of more, every second one, or third, ...
+_STEPS = 5000  # into which the range of a channel is divided, where values are written with fewer digits
 _SMALL = 6.0  # inches; what is narrower is not drawn out to the width of the page
 
 
@@ -81,6 +91,51 @@ def picture(figure: Figure) -> Picture:
     width, height = (round(_PIXELS * float(size)) for size in inches)
     data = base64.b64encode(small.getvalue()).decode("ascii")
     return Picture(data, width, height, bool(inches[0] < _SMALL))
+
+
+def histories(record: Record, sigmas: Mapping[str, float] = {}, first: str = "") -> dict[str, Any]:
+    """Return the time histories of a record for the script of a page (``explore.js``), which zooms and reads them.
+
+    Residuals get a band of ±2 ``sigmas``; ``first`` is the output whose residual is shown over two variables at first.
+    """
+    each = -(-record.n // _SAMPLES)
+    groups = {"y": record.outputs, "u": record.inputs, "x": record.states, "z": record.measured, "r": record.residuals}
+    values = {f"{g} {name}": _numbers(v[::each]) for g, group in groups.items() for name, v in group.items()}
+    residuals = [f"r {name}" for name in record.residuals if f"z {name}" in values]
+    variables = [f"x {n}" for n in record.states] + [f"u {n}" for n in record.inputs]
+    variables += [f"y {n}" for n in record.outputs if n not in record.states]
+    panels: list[dict[str, Any]] = []
+    for name in record.outputs:
+        lines = [[f"y {name}", "model", False]]
+        if f"z {name}" in values:
+            lines.insert(0, [f"z {name}", "measured", False])
+        residual = f"r {name}" if f"r {name}" in residuals else None
+        band = 2.0 * sigmas.get(name, 0.0)
+        panels.append({"title": labelled(name, record.units), "lines": lines, "residual": residual, "band": band})
+    for name in record.inputs:
+        lines = [[f"u {name}", "input", kind_of(record.interpolation, name) == "hold"]]
+        panels.append({"title": labelled(name, record.units), "lines": lines, "residual": None, "band": 0.0})
+    note = "Drag over a stretch of time to look closer; point at a sample to read it."
+    if each > 1:
+        note += f" One sample of {each} is drawn."
+    return {
+        "t": [float(f"{t:.9g}") for t in record.t[::each]],
+        "values": values,
+        "panels": panels,
+        "residuals": residuals,
+        "variables": variables,
+        "first": f"r {first}",
+        "over": variables[:2],
+        "note": note,
+    }
+
+
+def _numbers(values: FloatArray) -> list[float | None]:
+    """Return values with the digits that a screen shows, and None for a missing one."""
+    there = values[np.isfinite(values)]
+    size = (float(np.ptp(there)) or float(np.abs(there).max()) or 1.0) if there.size else 1.0
+    digits = math.ceil(math.log10(_STEPS / size))
+    return [v if v == v and abs(v) != math.inf else None for v in np.round(values, digits).tolist()]
 
 
 def sources(

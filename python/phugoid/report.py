@@ -15,7 +15,7 @@ from .figures.estimates import plot_convergence, plot_parameters
 from .fit_result import FitResult
 from .goodness_of_fit import Match, match
 from .notebook import equation
-from .pages import PageTable, Picture, picture, render, sources
+from .pages import PageTable, Picture, histories, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
 from .summary import corrected
 from .uncertainty.correlation import correlation, plot_correlation
@@ -125,7 +125,7 @@ def report(
     files: Sequence[str | os.PathLike[str]] = (),
     command: str = "",
 ) -> None:
-    """Write a fit as one HTML page: images inside, no script, no link; for screen, phone and print.
+    """Write a fit as one HTML page for screen, phone and print, which needs no network: pictures and script are inside.
 
     Status, warnings, parameters with standard errors, the match of each output in numbers and figures,
     residuals, validation, equations, convergence of the solver, data and versions.
@@ -171,7 +171,10 @@ def report(
         parameters=_parameters(fit),
         filtered=filtered,
         match=_match(fit, filtered),
-        matches=[(record.name, picture(plot.plot_fit(fit, i)[0])) for i, record in enumerate(fit.records[:_FIGURES])],
+        matches=[
+            (record.name, picture(plot.plot_fit(fit, i)[0]), histories(record, plot.sigmas_of(fit, record)))
+            for i, record in enumerate(fit.records[:_FIGURES])
+        ],
         records=len(fit.records),
         residuals=_residuals(fit),
         validation=None if validation is None else _validation(validation),
@@ -263,12 +266,16 @@ def _validation(v: Validation) -> dict[str, Any]:
     if not v.converged:
         text += f" {v.status[:1].upper()}{v.status[1:]}: {v.message}."
     rows = [_validated(m) for m in v.matches.values()]
+    sigmas = {name: m.sigma for name, m in v.matches.items() if math.isfinite(m.sigma)}
     heads = ["output", "unit", "RMS", "σ of fit", "Theil's U", "bias/var/cov, %", "lag-1", "tolerance", "inside, %"]
     return {
         "text": text,
         "table": PageTable([*heads, "samples"], rows, "llrrrrrrrr"),
         "said": [*v.warnings, *v.in_words()],
-        "pictures": [(r.name, picture(plot.plot_validation(v, i)[0])) for i, r in enumerate(v.records[:_FIGURES])],
+        "pictures": [
+            (r.name, picture(plot.plot_validation(v, i)[0]), histories(r, sigmas))
+            for i, r in enumerate(v.records[:_FIGURES])
+        ],
         "tolerances": v.tolerances,
         "records": len(v.records),
     }
@@ -304,7 +311,7 @@ def _equations(fit: FitResult) -> tuple[dict[str, list[str]], list[str]]:
         groups[title].append(equation(f"y_{left}" if measured else left, e, rate=rate))
     delays = fit.model.delays
     late = [f"{name}(t) = {of}(t − {tau})" for name, (of, tau) in delays.inputs.items()]
-    late += [f"{output} is measured late, by {tau}" for output, tau in delays.outputs.items()]
+    late += [f"{output} is measured with the delay {tau}" for output, tau in delays.outputs.items()]
     late += [f"{name} is a measured condition" for name in fit.model.condition_names]
     late += [f"{state} at the {end} sample = {e}" for end, state, e in fit.model.end_conditions]
     return groups, late

@@ -295,6 +295,7 @@ class Fit(FitResult):
         biases: Sequence[str] | None = None,
         values: Mapping[str, float] | None = None,
         tolerances: Mapping[str, float | Tolerance] | None = None,
+        initial_samples: int | None = None,
         progress: bool | Callable[[Iteration], None] = False,
         time_limit: float | None = None,
     ) -> Validation:
@@ -312,6 +313,9 @@ class Fit(FitResult):
         ``tolerances``: output -> greatest deviation in its unit, or a `Tolerance` where it grows with what is measured,
         in the style of flight-simulator qualification (14 CFR Part 60): the part of the samples within is reported, and
         the bands are drawn.
+        ``initial_samples``: initial states and biases are re-estimated from so many samples at the beginning of each
+        experiment, and the model is simulated from there on; ``log_likelihood`` is that of these samples. None: from
+        all samples.
         ``progress``: True prints the iterations; a function is called with each.
         ``time_limit``: in seconds; the result is then the best point so far, as after Ctrl-C, which ``status`` and a
         warning say.
@@ -328,6 +332,7 @@ class Fit(FitResult):
             biases=biases,
             values=values,
             tolerances=tolerances,
+            initial_samples=initial_samples,
             progress=progress,
             time_limit=time_limit,
         )

@@ -1,4 +1,4 @@
-"""Records, experiments and estimates as tables of pandas and datasets of xarray.
+"""Records, experiments and estimates as tables of pandas and datasets of xarray, draws of parameters for arviz.
 
 What is sampled at times of its own keeps them: in a table there are rows for all times, NaN where a channel has no
 sample; in a dataset such a channel has a time axis of its own, ``time_<channel>``.
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import xarray
 
 __all__ = [
+    "arviz_draws",
     "estimates_frame",
     "experiment_dataset",
     "experiment_frame",
@@ -46,6 +47,12 @@ _GROUPS = {
     "innovation_std": "innovation_std",
     "predicted_states": "predicted_state",
 }
+
+
+def arviz_draws(draws: Mapping[str, _Array]) -> Any:
+    """Return draws of parameters, name -> (n,), as arviz takes them: one chain of its group ``posterior``."""
+    base = package("arviz_base", "to_arviz", "arviz")
+    return base.from_dict({"posterior": {name: values[np.newaxis] for name, values in draws.items()}})
 
 
 def estimates_frame(estimates: Iterable[Any]) -> pandas.DataFrame:
@@ -148,12 +155,13 @@ def fit_dataset(
     return data
 
 
-def package(name: str, caller: str) -> Any:
-    """Import and return a package of the extra of its name; raise MissingDependency where it is not installed."""
+def package(name: str, caller: str, extra: str = "") -> Any:
+    """Import and return a package of an extra, that of its name by default; raise MissingDependency where it is not
+    installed."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise MissingDependency(f'{caller} needs {name} ({error}): pip install "phugoid[{name}]"') from error
+        raise MissingDependency(f'{caller} needs {name} ({error}): pip install "phugoid[{extra or name}]"') from error
 
 
 def _channels(e: Any) -> list[tuple[str, str, _Array]]:

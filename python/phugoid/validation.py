@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .data.experiment import Experiment, as_experiments
 from .data.units import check_units
-from .errors import DataError, ModelError, OptionError, check_progress, did_you_mean, finite
+from .errors import DataError, ModelError, OptionError, check_progress, did_you_mean, finite, whole
 from .estimation import estimate
 from .figures import fit as plot
 from .filter_error import FilterError
@@ -228,6 +228,7 @@ def validate(
     biases: Sequence[str] | None = None,
     values: Mapping[str, float] | None = None,
     tolerances: Mapping[str, float | Tolerance] | None = None,
+    initial_samples: int | None = None,
     progress: bool | Callable[[Iteration], None] = False,
     time_limit: float | None = None,
 ) -> Validation:
@@ -235,11 +236,14 @@ def validate(
     model, experiments = fit.model, as_experiments(other, "validate")
     limits = tolerances_by_output("validate", model.output_names, tolerances)
     check_progress("validate", progress)
+    fitted = experiments if initial_samples is None else _first_samples(fit, experiments, initial_samples)
     with limited("validate", time_limit).in_force():
         given = {} if values is None else values
-        found, free, held, warnings = re_estimated(fit, experiments, biases, given, progress)
+        found, free, held, warnings = re_estimated(fit, fitted, biases, given, progress)
     noise, filtered = found.noise, isinstance(found.transcription, FilterError)
     records = [_predicted(r) for r in found.records] if filtered else found.records
+    if initial_samples is not None:
+        records = [_with_all_samples(r, e) for r, e in zip(records, experiments, strict=True)]
     if not found.feasible:
         warnings += (
             f"no motion of the model was found for these data ({found.status}): how well it matches is not known",
@@ -302,6 +306,26 @@ def re_estimated(
     return ReEstimated(found, free, held, warnings)
 
 
+def _first_samples(fit: FitResult, experiments: Sequence[Experiment], count: int) -> list[Experiment]:
+    """Return the experiments with outputs at their first samples alone."""
+    whole("validate: initial_samples", count, 1)
+    if isinstance(fit.transcription, FilterError):
+        raise OptionError(
+            "validate: initial_samples is for fits without process noise, whose path no later sample moves"
+        )
+    names = fit.model.output_names
+    return [
+        e.with_outputs({n: np.where(np.arange(e.t.size) < count, e.output(n), np.nan) for n in names}, name=e.name)
+        for e in experiments
+    ]
+
+
+def _with_all_samples(record: Record, experiment: Experiment) -> Record:
+    """Return a record whose measurements are all those of its experiment; its path is that of the first samples."""
+    measured = {name: experiment.output(name) for name in record.measured}
+    return replace(record, measured=measured, residuals={n: z - record.outputs[n] for n, z in measured.items()})
+
+
 def _predicted(record: Record) -> Record:
     """Return a record of the filter-error method with outputs predicted from the preceding samples: its most probable
     path follows any measurements."""
@@ -337,7 +361,7 @@ def _free(fit: FitResult, named: Any, values: Any) -> tuple[str, ...]:
 def _known_parameter(fit: FitResult, name: str, where: str) -> None:
     names = fit.model.parameter_names
     if name in fit.noise_parameters:
-        raise ModelError(f"validate: {where}: '{name}' belongs to the noise, which is held as in the fit")
+        raise ModelError(f"validate: {where}: '{name}' belongs to the noise, which is fixed as in the fit")
     if name not in names:
         base = name.partition("[")[0]
         hint = f" Say '{base}', for all experiments." if base in names else did_you_mean(name, names)
@@ -397,7 +421,7 @@ def _check(fit: FitResult, e: Experiment, free: Sequence[str]) -> tuple[str, ...
             what = f"shares {same} samples with" if same < e.n else "is" if e.n == record.n else "is part of"
             return (
                 f"experiment '{e.name}' {what} the record '{record.name}' that the fit was made on: "
-                "how well it matches says nothing of other manoeuvres",
+                "its goodness of fit does not show how the model predicts other manoeuvres",
             )
     return ()
 

@@ -227,7 +227,7 @@ _ALL = (
         {"u": 0.05, "theta": 0.003, "q": 0.01, "ax": 0.08},
         20.0,
         100.0,
-        "The lag of the rotors and the damping Mq may change places: the upper bound of T says which is which. "
+        "The lag of the rotors and the damping Mq are interchangeable: the upper bound of T decides which is which. "
         "Only fast steps distinguish the delay from the lag: see the correlation of T and late. The accelerometer "
         "measures the drag.",
         _quadrotor,

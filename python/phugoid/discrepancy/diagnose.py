@@ -197,14 +197,14 @@ def ranking_of(search: Search, scan: Scan) -> list[Scored]:
     for name, i in best.items():
         candidate, shape = scan.effects[i]
         distinct = float(scan.distinct[i])
-        remark = "hardly to be told from the parameters already there" if distinct < NEARLY else ""
+        remark = "nearly indistinguishable from parameters of the model" if distinct < NEARLY else ""
         amplitude = values["clean"].amplitudes[i].tolist()
         estimate = {**dict(zip(candidate.coefficients, amplitude, strict=False)), **shape}
         base, clean, white = (float(v.values[i]) for v in values.values())
         found.append(Scored(name, candidate.explanation, estimate, base, clean, white, distinct, remark))
     by_name = {c.name: c for c in search.cache.candidates}
     for name in scan.lost:
-        remark = "cannot be told from the parameters already there"
+        remark = "indistinguishable from parameters of the model"
         found.append(Scored(name, by_name[name].explanation, {}, 0.0, 0.0, 0.0, 0.0, remark))
     return found
 
@@ -453,7 +453,7 @@ def _notes(
         return (f"{_EARLY[ended]} before the {len(listed)} candidates were scanned: only the misfit is told.",)
     notes = [f"{len(listed)} candidates, {len(scan.effects)} with their shapes, were scanned."]
     if scan.lost:
-        notes.append(f"Cannot be told from the parameters already there: {some(scan.lost, _LOST_NAMED)}.")
+        notes.append(f"Indistinguishable from parameters of the model: {some(scan.lost, _LOST_NAMED)}.")
     if others:
         what = "sensor biases" if free is None else ", ".join(free) or "nothing else"
         notes.append(f"Gains were measured on {', '.join(e.name for e in others)}, with first states and {what} free.")

@@ -175,7 +175,9 @@ class _Writer:
     def _late(self) -> list[str]:
         delays = self.model.delays
         lines = [f"{n} is {of}(t - {tau}): the caller delays it" for n, (of, tau) in delays.inputs.items()]
-        return lines + [f"{n} is measured late, by {tau}: here it is not" for n, tau in delays.outputs.items()]
+        return lines + [
+            f"{n} is measured with the delay {tau}, which this code does not have" for n, tau in delays.outputs.items()
+        ]
 
     def _shared(self) -> list[str]:
         used = self.graph.used

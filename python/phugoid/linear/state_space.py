@@ -169,6 +169,7 @@ _Complex: TypeAlias = NDArray[np.complex128]
 
 # Beyond this condition of the (normalised) eigenvectors, the modes carry no digits worth having.
 _DISTINCT = 1e10
+_WIDE = 12  # columns of matrices that a notebook shows
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -230,6 +231,15 @@ class StateSpace:
             if len(names) != count:
                 raise ModelError(f"state space: {len(names)} {kind} are named, but the matrices have {count}")
             object.__setattr__(self, kind, names)
+
+    def _repr_html_(self) -> str:
+        rows = np.vstack([np.hstack([self.A, self.B]), np.hstack([self.C, self.D])])
+        left = [f"{name}'" for name in self.states] + list(self.outputs)
+        cells = [[name, *(f"{x:.4g}" for x in row)] for name, row in zip(left, rows, strict=True)]
+        matrices = ["", *self.states, *self.inputs], cells, "l" + "r" * rows.shape[1]
+        note = f"{self.order} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs"
+        shown = (matrices, self.modes._rows()) if rows.shape[1] <= _WIDE else (self.modes._rows(),)
+        return overview("State space", *shown, remarks=self.warnings, note=note)
 
     @property
     def order(self) -> int:

@@ -12,6 +12,7 @@ import phugoid._core as _core
 
 from .._core import Expr
 from ..errors import DataError, ModelError, did_you_mean, listing, refuse_attribute
+from ..notebook import readable
 from ..parameters import Parameter
 from ..writing import sealed, unsealed, write
 from .declared import (
@@ -545,7 +546,7 @@ class Model:
         units = {n: f" ({unit})" if unit else "" for n, unit in self._core.inputs}
         listed = ", ".join(f"{n}{units[n]}" for n in self.condition_names)
         lines += [f"conditions: {listed}"] if listed else []
-        return "\n".join([self.name, *(f"  {line}" for line in lines)])
+        return "\n".join([self.name, *(f"  {readable(line)}" for line in lines)])
 
 
 def _saved_conditions(names: Any, inputs: Sequence[str]) -> tuple[str, ...]:

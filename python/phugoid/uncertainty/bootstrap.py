@@ -22,6 +22,7 @@ from ..fit_result import ENDED_WELL, FitResult
 from ..notebook import Rows, overview, sparkline
 from ..parameters import Estimates, text_table
 from ..solvers import limited
+from ..tabular import arviz_draws
 from .filtered import of_fit
 from .resample import Blocks, ColouredNoise, Parametric, Resampler, block_length
 
@@ -142,6 +143,14 @@ class Bootstrap:
             )
         heads = ["parameter", "estimate", "Cramér-Rao", "bootstrap", f"{100 * level:g} % from", "to", "unit"]
         return heads, rows, "lrrrrrl"
+
+    def to_arviz(self) -> Any:
+        """Return the estimates of all runs as draws for the figures and tables of arviz, such as ``plot_forest``.
+
+        They have the distribution of the estimator, not one of Bayes: arviz's word for the group is ``posterior``.
+        Raises MissingDependency without arviz.
+        """
+        return arviz_draws(dict(zip(self.names, self.estimates.T, strict=True)))
 
     def plot(self, names: Sequence[str] | None = None, level: float = 0.95) -> tuple[Figure, dict[str, Axes]]:
         """Plot one panel for each parameter: a histogram of the estimates of all runs, the normal distribution of the

@@ -38,7 +38,7 @@ class Coloured:
                     densities that are not Gaussian.
     initial_states  experiment -> state -> estimate, with corrected standard errors.
     covariance      (n, n) of the parameters in their order, corrected.
-    plain           (n,) standard errors of the fit, which take residuals for white.
+    plain           (n,) standard errors of the fit, which assume white residuals.
     autocorrelation  output -> (L,) of the noise, from lag 0 on, with fewer than 1 % left at the end.
     times           output -> s, correlation time of the noise: the sum of its autocorrelation at positive and negative
                     lags times the step. White noise has its step.

@@ -20,6 +20,7 @@ from ..fit_result import FitResult
 from ..notebook import Html, Rows, overview, sparkline
 from ..parameters import text_table
 from ..solvers import limited
+from ..tabular import arviz_draws
 from .coloured import coloured as corrected
 from .profile_search import End, Side, Sides
 
@@ -85,6 +86,22 @@ class Profile:
         """Upper over lower half of the interval: 1 where the likelihood is a parabola."""
         low, high = self.interval
         return (high - self.value) / (self.value - low) if self.value > low else math.nan
+
+    def quantiles(self, probabilities: Sequence[float] | _Array) -> _Array:
+        """Return the values at which the signed root of the likelihood ratio has quantiles of the normal distribution.
+
+        Between the values that were tried it is interpolated, beyond the last of them it goes on as it was between the
+        last two. NaN where there are fewer than two.
+        """
+        root = np.sign(self.values - self.value) * np.sqrt(2.0 * np.maximum(self.drops, 0.0)) / self.inflation
+        z = np.array([NormalDist().inv_cdf(p) for p in probabilities])
+        there = np.isfinite(root) & np.concatenate([[True], np.diff(root) > 0.0])
+        x, y = root[there], self.values[there]
+        if x.size < 2:
+            return np.full(z.size, np.nan)
+        low, high = ((y[i + 1] - y[i]) / (x[i + 1] - x[i]) for i in (0, -2))
+        found: _Array = np.interp(z, x, y) + np.minimum(z - x[0], 0.0) * low + np.maximum(z - x[-1], 0.0) * high
+        return found
 
     def _cells(self, z: float) -> list[str]:
         """Return the row of a table, with the interval of so many standard errors."""
@@ -161,6 +178,20 @@ class Profiles(Mapping[str, Profile]):
         inflated = any(p.inflation != 1.0 for p in self.profiles.values())
         done = f"{self.runs} estimations in {self.time:.1f} s"
         return [done, "the threshold allows for coloured residuals"] if inflated else [done]
+
+    def to_arviz(self, n: int = 1000, seed: int = 0) -> Any:
+        """Return n draws of each parameter for the figures and tables of arviz, such as ``plot_forest``.
+
+        They are those of a parameter whose signed root of the likelihood ratio is normal, as the intervals suppose, and
+        are independent of the draws of other parameters. Raises MissingDependency without arviz,
+        OptionError for n below 2.
+        """
+        if n < 2:
+            raise OptionError(f"to_arviz: n is the number of draws, two or more, not {n}")
+        random = np.random.default_rng(seed)
+        return arviz_draws(
+            {name: random.permutation(p.quantiles((np.arange(n) + 0.5) / n)) for name, p in self.items()}
+        )
 
     def plot(self, names: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
         """Plot the log-likelihood over each parameter, with the parabola of its standard error and the interval.

@@ -50,7 +50,7 @@ class Candidates(Sequence[Candidate]):
     >>> m.outputs(x=x)
     >>> library = candidates(m)
     >>> library["v':x^3"]
-    <v':x^3: v' has a part that goes with the cube of x>
+    <v':x^3: v' contains a term proportional to the cube of x>
     >>> library.only("v':x*").names
     ("v':x^2", "v':x*v", "v':x^2*v", "v':x^3", "v':x|x|")
     """

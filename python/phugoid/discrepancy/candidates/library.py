@@ -166,7 +166,7 @@ def _own(
 ) -> Iterator[Effect]:
     for place, what, e in read_terms(model, terms):
         name = f"{structure.shown(place)}:{what}"
-        words = f"{where(place)} has a part that goes with {str(e).replace('**', '^')}"
+        words = f"{where(place)} contains a term proportional to {str(e).replace('**', '^')}"
         coefficient = names(f"{_stem(place)}_{what}")
         yield Term(name, place, words, "own", scales, (coefficient,), variables=tuple(e.symbols), given=e)
 
@@ -189,7 +189,7 @@ def _library(structure: ModelStructure, scales: Scales, names: _Names) -> Iterat
             yield from (c for c in _on_input(structure, variable, scales, names) if c.family in of)
     yield from _limits(structure, scales, names)
     for name in structure.acting:
-        words = f"{name} changes in the course of the record"
+        words = f"{name} changes during the record"
         coefficient = names(f"drift_{name}")
         yield ParameterDrift(f"{name}:drift", Place("parameter", name), words, "variation", scales, (coefficient,))
 
@@ -290,7 +290,7 @@ def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names:
             yield Hysteresis(
                 f"{shown}:hysteresis_{v.shown}",
                 place,
-                f"{words} depends on where {v.shown} turned (hysteresis, or dry friction that yields)",
+                f"{words} depends on the reversals of {v.shown} (hysteresis, or dry friction that yields)",
                 "hysteresis",
                 scales,
                 (names(f"{stem}_hysteresis_{v.shown}"),),
@@ -314,7 +314,7 @@ def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names:
         yield LimitedForce(
             f"{shown}:saturation",
             place,
-            f"{words} comes to no more than a limit either way (a limited current, force or traction)",
+            f"{words} is limited in both directions (saturation of a current, force or traction)",
             "saturation",
             scales,
             (),
@@ -348,7 +348,7 @@ def _limits(structure: ModelStructure, scales: Scales, names: _Names) -> Iterato
             shape = limit, names(f"loss_of_{x}")
             yield EndStop(f"{x}:limit", at, words, "limit", scales, (stiffness,), shape, variables=(x,), speed=speed)
         elif x in places and units.get(x, "") not in ANGLES and not units.get(x, "").endswith("/s"):
-            words = f"{x} goes no further than a limit (overflow, a store that is full or empty)"
+            words = f"{x} stops at a limit (overflow, a store that is full or empty)"
             yield StateLimit(f"{x}:limit", Place("equation", x), words, "limit", scales, (), (limit,), variables=(x,))
 
 
@@ -360,7 +360,7 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
         return _term(structure, place, form, factors, scales, names)
 
     yield term("bias")
-    words = f"the measurement of {y} is scaled wrongly"
+    words = f"the measurement of {y} has a wrong scale factor"
     yield SensorScale(f"{shown}:scale", place, words, "scale", scales, (names(f"k_{y}"),))
     yield term("drift")
     yield from (term("linear", v) for v in structure.variables)
@@ -369,9 +369,7 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
     yield from (Rate.of(place, shown, v.symbol, names(f"y_{y}_{v.shown}_dot"), scales) for v in rates)
     for power, degree in ((2, "square"), (3, "cube")):
         if power == 3 or y not in {v.shown for v in rates}:  # of a rate there is its square already
-            words = (
-                f"the measurement of {y} has a part that goes with its {degree} (a characteristic that is not straight)"
-            )
+            words = f"the measurement of {y} contains a term proportional to its {degree} (nonlinear characteristic)"
             coefficients, key = (names(f"y_{y}_{y}{power}"),), (output_key(y),)
             name = f"{shown}:{y}^{power}"
             yield SensorCurve(name, place, words, "curve", scales, coefficients, variables=key, power=power)
@@ -379,7 +377,7 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
     at_once = {*structure.expression(place).symbols}
     inputs = [v for v in structure.variables if v.kind == "input" and v.symbol in at_once]
     yield from (_lagged(structure, place, v, scales, names) for v in inputs)
-    words = f"the measurement of {y} goes no further than a limit (clipped sensor)"
+    words = f"the measurement of {y} is clipped at a limit"
     yield ClippedSensor(
         f"{shown}:clipped", place, words, "clipped", scales, (), (names(f"limit_{y}"),), variables=(output_key(y),)
     )
@@ -395,7 +393,7 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
         yield SensorDelay(
             f"{shown}:delay",
             place,
-            f"{y} is measured late (negative: before the other channels)",
+            f"{y} is measured with a delay (negative: ahead of the other channels)",
             "delay",
             scales,
             (),
@@ -407,26 +405,32 @@ def _on_input(structure: ModelStructure, variable: Variable, scales: Scales, nam
     u, symbol = variable.shown, variable.symbol
     place, variables = Place("input", symbol), (symbol,)
     yield InputScale(
-        f"{u}:scale", place, f"{u} acts with another scale", "scale", scales, (names(f"k_{u}"),), variables=variables
+        f"{u}:scale",
+        place,
+        f"{u} acts with another scale factor",
+        "scale",
+        scales,
+        (names(f"k_{u}"),),
+        variables=variables,
     )
     yield InputBias(
         f"{u}:bias", place, f"{u} acts with an offset", "bias", scales, (names(f"b_{u}"),), variables=variables
     )
     shaped: list[tuple[Callable[..., Effect], str, str, str]] = [
-        (DeadBand, "deadband", f"deadband_{u}", f"small deflections of {u} do nothing (dead-band, play)"),
+        (DeadBand, "deadband", f"deadband_{u}", f"small deflections of {u} have no effect (dead-band)"),
         (Saturation, "saturation", f"saturation_{u}", f"large deflections of {u} are cut off (saturation)"),
         (
             Backlash,
             "backlash",
             f"backlash_{u}",
-            f"{u} has play: after it turns it does nothing until it has moved by twice the estimate",
+            f"{u} has backlash: after a reversal it has no effect until it has moved by twice the estimate",
         ),
-        (RateLimit, "rate_limit", f"rate_limit_{u}", f"{u} acts no faster than a greatest rate"),
+        (RateLimit, "rate_limit", f"rate_limit_{u}", f"the rate of {u} is limited"),
         (InputLag, "lag", f"lag_{u}", f"{u} acts with a lag (first-order actuator)"),
     ]
     if symbol not in structure.model.delays.inputs:
         shaped.append(
-            (InputDelay, "delay", f"tau_{u}", f"{u} acts late (transport delay; negative: it is recorded late)")
+            (InputDelay, "delay", f"tau_{u}", f"{u} acts with a transport delay (negative: its record is delayed)")
         )
     for make, family, parameter, words in shaped:
         yield make(f"{u}:{family}", place, words, family, scales, (), (names(parameter),), variables=variables)

@@ -53,36 +53,45 @@ class Form:
 
 FORMS: Mapping[str, Form] = {
     "bias": Form(lambda: Expr(1.0), "bias", "bias", "has a constant part"),
-    "linear": Form(lambda x, _: x, "{0}", "{0}", "has a part that goes with {0}", centred=False),
-    "square": Form(lambda x, _: x**2, "{0}^2", "{0}2", "has a part that goes with the square of {0}"),
-    "cube": Form(lambda x, _: x**3, "{0}^3", "{0}3", "has a part that goes with the cube of {0}"),
+    "linear": Form(lambda x, _: x, "{0}", "{0}", "contains a term proportional to {0}", centred=False),
+    "square": Form(lambda x, _: x**2, "{0}^2", "{0}2", "contains a term proportional to the square of {0}"),
+    "cube": Form(lambda x, _: x**3, "{0}^3", "{0}3", "contains a term proportional to the cube of {0}"),
     "product": Form(
-        lambda x, _, y, __: x * y, "{0}*{1}", "{0}_{1}", "has a part that goes with the product of {0} and {1}"
+        lambda x, _, y, __: x * y, "{0}*{1}", "{0}_{1}", "contains a term proportional to the product of {0} and {1}"
     ),
     "damping": Form(
-        lambda x, _, v, __: x**2 * v, "{0}^2*{1}", "{0}2_{1}", "has a damping by {1} that goes with the square of {0}"
+        lambda x, _, v, __: x**2 * v,
+        "{0}^2*{1}",
+        "{0}2_{1}",
+        "contains a damping by {1} proportional to the square of {0}",
     ),
     # The same where the rate is declared before: factors of a name stand in that order.
     "damping, rate first": Form(
-        lambda v, _, x, __: v * x**2, "{0}*{1}^2", "{0}_{1}2", "has a damping by {0} that goes with the square of {1}"
+        lambda v, _, x, __: v * x**2,
+        "{0}*{1}^2",
+        "{0}_{1}2",
+        "contains a damping by {0} proportional to the square of {1}",
     ),
     # Its slope has no jump, so nothing needs rounding.
     "quadratic": Form(
         lambda x, _: x * abs(x),
         "{0}|{0}|",
         "{0}_abs_{0}",
-        "has a part that goes with {0} times its size",
+        "contains a term proportional to {0} times its magnitude",
         of_rate="quadratic damping",
     ),
     "absolute": Form(
-        lambda x, span: smooth_abs(x, _KINK * span), "|{0}|", "abs_{0}", "has a part that goes with the size of {0}"
+        lambda x, span: smooth_abs(x, _KINK * span),
+        "|{0}|",
+        "abs_{0}",
+        "contains a term proportional to the magnitude of {0}",
     ),
     # Flow through an orifice, by the head or pressure itself, not about a trim. Its slope is bounded at zero.
     "root": Form(
         lambda x, span: x / sqrt(smooth_abs(x, _KINK * span)),
         "sqrt({0})",
         "sqrt_{0}",
-        "has a part that goes with the square root of {0} (flow through an orifice)",
+        "contains a term proportional to the square root of {0} (flow through an orifice)",
         centred=False,
     ),
     # Friction turns with the motion itself, not about a trim.
@@ -206,7 +215,7 @@ class Rate(Effect):
     @staticmethod
     def of(place: Place, shown: str, state: str, coefficient: str, scales: Scales) -> Rate:
         """Return the candidate for the output of that place, what to call it, and a state."""
-        name, words = f"{shown}:{state}'", f"has a part that goes with the derivative of {state} (a lever arm)"
+        name, words = f"{shown}:{state}'", f"contains a term proportional to the derivative of {state} (a lever arm)"
         return Rate(name, place, f"{where(place)} {words}", "rate", scales, (coefficient,), variables=(state,))
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:

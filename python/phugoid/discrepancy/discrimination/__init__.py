@@ -38,7 +38,7 @@ DISCRIMINATES = 6.0
 
 @dataclass(frozen=True)
 class DiscriminatingManoeuvre:
-    """A manoeuvre that tells a cause from rivals.
+    """A manoeuvre that distinguishes a cause from rivals.
 
     manoeuvre  what to fly.
     record     its times and inputs, from the state in which the first record begins.
@@ -54,7 +54,7 @@ class DiscriminatingManoeuvre:
     def __str__(self) -> str:
         length = number(float(self.record.t[-1] - self.record.t[0]))
         return (
-            f"A {self.manoeuvre}, recorded for {length} s, would be expected to tell it from "
+            f"A {self.manoeuvre}, recorded for {length} s, would be expected to distinguish it from "
             f"{joined(tuple(self.gains), 'and')} (expected gain in log-likelihood {number(min(self.gains.values()))}, "
             f"this record gives {self.here:.1f})."
         )
@@ -81,8 +81,8 @@ class Advice:
         if self.alike and self.tried:
             sentences.append(
                 f"No manoeuvre of {joined(self.tried, 'or')} tried here ({KINDS}; {number(self.length)} s, up to "
-                f"{GREATEST:g} times as far as in this record) would tell it from {joined(self.alike, 'or')}: they "
-                "act alike."
+                f"{GREATEST:g} times as far as in this record) would distinguish it from "
+                f"{joined(self.alike, 'or')}: they act alike."
             )
         return " ".join(sentences)
 

@@ -55,8 +55,8 @@ def what_stands_out(c: Any) -> str:
 
 def _follows(found: Dependence) -> str:
     if found.variable == "time":
-        return f"drifts {'up' if found.r > 0.0 else 'down'} in the course of the record (r = {found.r:.2f})"
-    return f"{'follows' if found.r > 0.0 else 'goes against'} {found.variable} (r = {found.r:.2f})"
+        return f"drifts {'up' if found.r > 0.0 else 'down'} during the record (r = {found.r:.2f})"
+    return f"{'follows' if found.r > 0.0 else 'opposes'} {found.variable} (r = {found.r:.2f})"
 
 
 def _times(c: Any) -> str:

@@ -7,9 +7,10 @@ import os
 import textwrap
 from typing import Any, Literal
 
+from ...figures.fit import sigmas_of
 from ...modelling.model import Model
 from ...notebook import equation
-from ...pages import PageTable, picture, render, sources
+from ...pages import PageTable, histories, picture, render, sources
 from ...parameters import Estimate
 from ...writing import PAGES, check_folder, check_suffix, write
 from ..misfit.misfit import Misfit, misfit
@@ -184,7 +185,7 @@ def finding_lines(finding: Finding) -> list[str]:
             for name in finding.aliases
         ]
         doubted = "is not proved" if finding.ringing else "does not predict"
-        told = "The data do not tell it from" if finding.cause else f"What fits, but {doubted}"
+        told = "The data do not distinguish it from" if finding.cause else f"What fits, but {doubted}"
         if finding.curve and not finding.cause:
             told = "Its name would be"
         lines.append(f"{told}: {', '.join(rivals)}.")
@@ -251,10 +252,10 @@ _GROWN = 0.05  # of the RMS, by which residuals on held-out data may grow withou
 
 
 def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
-    """Write a diagnosis as one HTML page: images inside, no script, no link; for screen, phone and print.
+    """Write a diagnosis as one HTML page: for screen, phone and print, which needs no network.
 
-    What was wrong, the cause and its rivals, the evidence, the new equation, the gain, what is left open, and which
-    data and versions it comes from.
+    Residuals of the model, the cause and its rivals, the evidence, the new equations, the gain, open questions, and
+    which data and versions it comes from.
     """
     check_folder(path)
     check_suffix(path, PAGES, "a report")
@@ -317,7 +318,13 @@ def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
     ]
     heads = ["channel", "what stands out", "RMS", "noise", "ratio", "predictable"]
     notes = list(dict.fromkeys(n for c in found.channels.values() for n in c.notes))
-    return {"table": PageTable(heads, rows, "ltrrrr"), "notes": notes, "pictures": pictures}
+    record = diagnosis.fit.records[0]
+    return {
+        "table": PageTable(heads, rows, "ltrrrr"),
+        "notes": notes,
+        "pictures": pictures,
+        "history": histories(record, sigmas_of(diagnosis.fit, record), *found.worst[:1]),
+    }
 
 
 def _cause(finding: Finding) -> dict[str, Any]:
@@ -366,7 +373,7 @@ def _equations(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[s
     return {
         "changed": changed,
         "late": [f"{n}(t) = {of}(t − {tau})" for n, (of, tau) in inputs]
-        + [f"{n} is measured late, by {tau}" for n, tau in outputs],
+        + [f"{n} is measured with the delay {tau}" for n, tau in outputs],
         "parameters": PageTable(["parameter", "before", "after", "unit", ""], rows, "lrrll"),
         "added": PageTable(["new parameter", "estimate ± std error", "unit", ""], added, "lrll"),
     }
@@ -403,7 +410,7 @@ def _gain(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[str, A
 
 
 def _open(diagnosis: Any) -> list[str]:
-    """Return what these data do not tell, in sentences."""
+    """Return what these data leave open, in sentences."""
     findings = diagnosis.findings
     texts = [line for f in findings if not f.cause for line in finding_lines(f)]
     surrogates = [f.cause for f in findings if f.status == "surrogate" and f.cause]
@@ -411,7 +418,7 @@ def _open(diagnosis: Any) -> list[str]:
         texts.append(f"{', '.join(surrogates)} may stand for a cause that is not among the candidates.")
     for f in findings:
         if f.cause and f.aliases:
-            texts.append(f"Which of {', '.join([f.cause, *f.aliases])} it is, these data do not tell. {f.advice}")
+            texts.append(f"Which of {', '.join([f.cause, *f.aliases])} it is, these data do not show. {f.advice}")
     return [*texts, *diagnosis.notes]
 
 

@@ -76,7 +76,7 @@ class Finding:
                    others. Below zero the finding is not to be relied on. NaN where the search was interrupted.
     threshold      that ``gain`` had to pass: with none there, chance reaches it once in a hundred diagnoses.
     explanation    of the cause, in plain words.
-    advice         which manoeuvre would tell it from its aliases, or that none of those tried would; "" without
+    advice         which manoeuvre would distinguish it from its aliases, or that none of those tried would; "" without
                    aliases, or where no manoeuvre stays within the envelope of the records.
     rivals         alias -> gain in log-likelihood that it would have in place of the cause.
     units          parameter -> unit, for words.
@@ -265,7 +265,7 @@ class DiagnosisResult:
         "unexplained"  residuals with structure, and no cause that is named: at least a finding that says so, or an
                        output of which 5 % of the residuals' power, or more, is more than white noise.
         "surrogate", "minor"   findings of that status only, and residuals without more structure than that.
-        "nothing"      residuals that are not significantly coloured, as far as these data tell.
+        "nothing"      residuals that are not significantly coloured, as far as these data show.
         "interrupted"  nothing was found by the time the search was ended, which is no statement about the model.
         """
         statuses = {f.status for f in self.findings}

@@ -14,7 +14,7 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "interrupt", "dense", "setters", "lgl", "interpolate", "table", "error", "threads", "pairs",
+    "math", "simd", "interrupt", "dense", "setters", "index", "lgl", "interpolate", "table", "error", "threads", "pairs",
     "expr", "tape", "transform", "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment",
     "gaps", "measured", "mesh", "integrate", "problem", "collocation", "shooting", "filter", "linalg", "solver",
     "initial", "diagnosis", "simulate", "estimate",

@@ -7,6 +7,7 @@ use super::Shooting;
 use super::pieces::{
     Second, Uniforms, by_width, defects_of, gradient_of, hessian_of, jacobian_of, states_at, triangle,
 };
+use crate::index::{ConstraintId, ExperimentId, VariableId};
 use crate::nlp::{Chains, Named, Nlp, NotFinite, Reach, Separable, Structure};
 use crate::problem::boundary::{Boundary, Places};
 use crate::problem::disjoint::Disjoint;
@@ -73,15 +74,15 @@ impl Shooting {
             lambda,
             out: Disjoint::new(stored),
         };
-        let n_seen = self.posed.estimands.maps[0].len();
+        let n_seen = self.posed.estimands.maps[ExperimentId(0)].len();
         self.each(
             triangle(n_seen),
             |group, m, part| by_width!(group, hessian_of(&job, group, m, part)),
             |group, part| {
                 let map = &self.posed.estimands.maps[group.experiment];
                 for (r, i) in map.iter().enumerate() {
-                    for (q, j) in map[..=r].iter().enumerate() {
-                        pairs[triangle(*i.max(j)) + i.min(j)] += part[triangle(r) + q];
+                    for (q, j) in map.iter().take(r + 1).enumerate() {
+                        pairs[triangle(i.max(j).0) + i.min(j).0] += part[triangle(r) + q];
                     }
                 }
             },
@@ -125,7 +126,7 @@ impl Nlp for Shooting {
         states.fill(0.0); // nothing depends on a node at the end
         let (shared, uniforms) = (Disjoint::new(states), self.both(xi));
         self.each(
-            self.posed.estimands.maps[0].len(),
+            self.posed.estimands.maps[ExperimentId(0)].len(),
             |group, m, part| {
                 by_width!(group, gradient_of(self, group, (xi, &at_samples), &uniforms, m, &shared, part))
             },
@@ -201,7 +202,7 @@ impl Nlp for Shooting {
 }
 
 impl Named for Shooting {
-    fn variable_name(&self, i: usize) -> String {
+    fn variable_name(&self, i: VariableId) -> String {
         match self.layout.place(i) {
             Place::Parameter(p) => self.posed.parameter_name(p),
             Place::State { experiment, point, state } => {
@@ -210,8 +211,8 @@ impl Named for Shooting {
         }
     }
 
-    fn constraint_name(&self, i: usize) -> String {
-        if let Some(boundary) = self.boundary.as_ref().filter(|_| i >= self.layout.m()) {
+    fn constraint_name(&self, i: ConstraintId) -> String {
+        if let Some(boundary) = self.boundary.as_ref().filter(|_| i.0 >= self.layout.m()) {
             return boundary.name(i, &self.posed.experiments);
         }
         let ConstraintPlace { experiment: e, row, state } = self.layout.constraint(i);
@@ -225,11 +226,11 @@ impl Named for Shooting {
 }
 
 impl Separable for Shooting {
-    fn nonlinear(&self) -> Vec<usize> {
+    fn nonlinear(&self) -> Vec<VariableId> {
         self.posed.nonlinear()
     }
 
-    fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64) {
+    fn move_elsewhere(&self, xi: &mut [f64], variables: &[VariableId], draw: u64) {
         self.posed.move_elsewhere(xi, variables, draw);
     }
 }

@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use super::iterate::Iterate;
 use super::program::Program;
 use super::restoration::Restoration;
+use crate::index::VariableId;
 use crate::linalg::Entries;
 use crate::simd::kernel;
 
@@ -48,7 +49,7 @@ impl Reduced {
         let size = |&i: &usize| {
             let (range, unit) =
                 (program.upper[i] - program.lower[i], units[i.saturating_sub(border) % units.len()]);
-            match nlp.longest_step(i) {
+            match nlp.longest_step(VariableId(i)) {
                 most if most.is_finite() => most,
                 _ if i >= border => unit.max(0.3 * xi[i].abs()),
                 _ if xi[i] != 0.0 => xi[i].abs(),

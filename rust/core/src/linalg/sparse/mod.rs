@@ -29,7 +29,8 @@ mod products;
 mod reduced;
 mod rows;
 
-use super::{Curvature, Effort, Entries, Factor, KktError, KktSolver};
+use super::{Curvature, Direction, Effort, Entries, Factor, KktError, KktSolver};
+use crate::index::{ConstraintId, VariableId};
 use crate::interrupt::current;
 use crate::nlp::Structure;
 use crate::tape::lanes::all_finite;
@@ -70,7 +71,7 @@ pub struct SparseKkt {
     is_assembled: bool,
     held: Vec<bool>,
     shift: f64,
-    weak: Vec<Vec<(usize, f64)>>,
+    weak: Vec<Direction>,
     /// Right-hand side, solution, correction, residual in units.
     right: System,
     solution: System,
@@ -237,12 +238,13 @@ impl SparseKkt {
             let length = (0..self.n).map(|i| part(i).powi(2)).sum::<f64>().sqrt();
             let largest = (0..self.n).fold(0.0f64, |a, i| a.max(part(i).abs()));
             let named = (0..self.n).filter(|&i| part(i).abs() >= MINOR * largest && part(i) != 0.0);
-            let mut parts: Vec<(usize, f64)> = named.map(|i| (i, part(i) / length)).collect();
+            let mut parts: Direction = named.map(|i| (VariableId(i), part(i) / length)).collect();
             parts.sort_by(|x, y| y.1.abs().total_cmp(&x.1.abs()));
             self.weak.push(parts);
         }
         self.g = d;
-        self.weak.extend(self.reduced.holding().immovable().iter().map(|&v| vec![(v as usize, 1.0)]));
+        self.weak
+            .extend(self.reduced.holding().immovable().iter().map(|&v| vec![(VariableId(v as usize), 1.0)]));
     }
 }
 
@@ -265,7 +267,7 @@ impl KktSolver for SparseKkt {
         if current().stops() {
             return Err(KktError::Stopped);
         }
-        found.map_err(|row| KktError::Dependent { row })?;
+        found.map_err(|row| KktError::Dependent { row: ConstraintId(row) })?;
         self.replace_hessian(entries)?;
         Ok(self)
     }
@@ -347,7 +349,7 @@ impl Factor for SparseKkt {
         }
     }
 
-    fn weak_directions(&self) -> &[Vec<(usize, f64)>] {
+    fn weak_directions(&self) -> &[Direction] {
         &self.weak
     }
 

@@ -13,7 +13,7 @@ use crate::tape::{Function, trace};
 impl Collocation {
     /// The sub-expression that is not finite at ξ, its arguments, and the experiment, time and inputs;
     /// `None` when everything is finite.
-    pub(super) fn why_not_finite(&self, xi: &[f64]) -> Option<String> {
+    pub(super) fn explained(&self, xi: &[f64]) -> Option<String> {
         self.explain_variables(xi)
             .or_else(|| self.posed.explain_noise(xi))
             .or_else(|| self.explain_dynamics(xi))

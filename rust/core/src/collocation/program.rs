@@ -4,10 +4,10 @@ use std::ops::Range;
 
 use super::Collocation;
 use crate::index::{ConstraintId, ExperimentId, StateId, VariableId};
-use crate::nlp::{Chains, Named, Nlp, NotFinite, Reach, Separable, Structure};
+use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
 use crate::problem::boundary::Boundary;
 use crate::problem::disjoint::Disjoint;
-use crate::problem::layout::{ConstraintPlace, Layout, Place};
+use crate::problem::layout::{ConstraintPlace, Layout};
 use crate::problem::objective::add;
 use crate::problem::posed::Posed;
 use crate::problem::transcribed::Transcribed;
@@ -121,41 +121,6 @@ impl Nlp for Collocation {
     }
 }
 
-impl Named for Collocation {
-    fn variable_name(&self, i: VariableId) -> String {
-        match self.layout.place(i) {
-            Place::Parameter(p) => self.posed.parameter_name(p),
-            Place::State { experiment, point, state } => {
-                self.posed.state_name(state, self.meshes[experiment].times[point], experiment)
-            }
-        }
-    }
-
-    fn constraint_name(&self, i: ConstraintId) -> String {
-        if let Some(boundary) = self.boundary.as_ref().filter(|_| i.0 >= self.layout.m()) {
-            return boundary.name(i, &self.posed.experiments);
-        }
-        let ConstraintPlace { experiment: e, row, state } = self.layout.constraint(i);
-        let t = &self.meshes[e].times;
-        let name = &self.posed.state_names[state];
-        format!("defect of {name} ending at t = {} s of '{}'", t[row + 1], self.posed.experiments[e].name)
-    }
-
-    fn explain(&self, xi: &[f64]) -> Option<String> {
-        self.why_not_finite(xi)
-    }
-}
-
-impl Separable for Collocation {
-    fn nonlinear(&self) -> Vec<VariableId> {
-        self.posed.nonlinear()
-    }
-
-    fn move_elsewhere(&self, xi: &mut [f64], variables: &[VariableId], draw: u64) {
-        self.posed.move_elsewhere(xi, variables, draw);
-    }
-}
-
 impl Transcribed for Collocation {
     fn posed(&self) -> &Posed {
         &self.posed
@@ -167,6 +132,20 @@ impl Transcribed for Collocation {
 
     fn boundary_states(&self) -> Vec<StateId> {
         self.boundary.as_ref().map_or_else(Vec::new, Boundary::all_states)
+    }
+
+    fn path_constraint_name(&self, of: ConstraintPlace) -> String {
+        let ConstraintPlace { experiment: e, row, state } = of;
+        let (t, name) = (&self.meshes[e].times, &self.posed.state_names[state]);
+        format!("defect of {name} ending at t = {} s of '{}'", t[row + 1], self.posed.experiments[e].name)
+    }
+
+    fn condition_name(&self, i: ConstraintId) -> String {
+        self.boundary.as_ref().map_or_else(String::new, |b| b.name(i, &self.posed.experiments))
+    }
+
+    fn why_not_finite(&self, xi: &[f64]) -> Option<String> {
+        self.explained(xi)
     }
 
     fn point_times(&self, experiment: ExperimentId) -> &[f64] {

@@ -14,6 +14,7 @@ use crate::problem::Transcribed;
 /// A starting value. It is made from a number, from the path of a state in the only experiment, or from
 /// its paths in all of them.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Start {
     /// A number, for a state at all times.
     Value(f64),

@@ -8,7 +8,7 @@ use crate::problem::transcribed::Transcribed;
 
 impl Shooting {
     /// Explains where and why the solution of the equations ceases to exist at ξ; `None` when everything is finite.
-    pub(super) fn why_not_finite(&self, xi: &[f64]) -> Option<String> {
+    pub(super) fn explained(&self, xi: &[f64]) -> Option<String> {
         if let Some(i) = xi.iter().position(|v| !v.is_finite()) {
             return Some(format!("{} is {}", self.variable_name(VariableId(i)), xi[i]));
         }

@@ -7,11 +7,10 @@ use super::Shooting;
 use super::pieces::{
     Second, Uniforms, by_width, defects_of, gradient_of, hessian_of, jacobian_of, states_at, triangle,
 };
-use crate::index::{ConstraintId, ExperimentId, VariableId};
-use crate::nlp::{Chains, Named, Nlp, NotFinite, Reach, Separable, Structure};
+use crate::index::ExperimentId;
+use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
 use crate::problem::boundary::{Boundary, Places};
 use crate::problem::disjoint::Disjoint;
-use crate::problem::layout::{ConstraintPlace, Place};
 use crate::threads::Threads;
 
 impl Shooting {
@@ -198,39 +197,5 @@ impl Nlp for Shooting {
 
     fn profile(&self, xi: &[f64], gradient: &[f64], reach: &Reach<'_>, out: &mut [f64]) -> f64 {
         self.posed.profile_noise(xi, gradient, reach, out)
-    }
-}
-
-impl Named for Shooting {
-    fn variable_name(&self, i: VariableId) -> String {
-        match self.layout.place(i) {
-            Place::Parameter(p) => self.posed.parameter_name(p),
-            Place::State { experiment, point, state } => {
-                self.posed.state_name(state, self.nodes[experiment][point], experiment)
-            }
-        }
-    }
-
-    fn constraint_name(&self, i: ConstraintId) -> String {
-        if let Some(boundary) = self.boundary.as_ref().filter(|_| i.0 >= self.layout.m()) {
-            return boundary.name(i, &self.posed.experiments);
-        }
-        let ConstraintPlace { experiment: e, row, state } = self.layout.constraint(i);
-        let (t, name) = (self.nodes[e][row + 1], &self.posed.state_names[state]);
-        format!("continuity of {name} at t = {t} s of '{}'", self.posed.experiments[e].name)
-    }
-
-    fn explain(&self, xi: &[f64]) -> Option<String> {
-        self.why_not_finite(xi)
-    }
-}
-
-impl Separable for Shooting {
-    fn nonlinear(&self) -> Vec<VariableId> {
-        self.posed.nonlinear()
-    }
-
-    fn move_elsewhere(&self, xi: &mut [f64], variables: &[VariableId], draw: u64) {
-        self.posed.move_elsewhere(xi, variables, draw);
     }
 }

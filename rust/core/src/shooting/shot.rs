@@ -2,11 +2,11 @@
 
 use super::Shooting;
 use super::pieces::{by_width, integrate_group};
-use crate::index::{ExperimentId, PointId, StateId};
+use crate::index::{ConstraintId, ExperimentId, PointId, StateId};
 use crate::integrate::flow::Memory;
 use crate::nlp::NotFinite;
 use crate::problem::boundary::Boundary;
-use crate::problem::layout::Layout;
+use crate::problem::layout::{ConstraintPlace, Layout};
 use crate::problem::posed::Posed;
 use crate::problem::transcribed::Transcribed;
 
@@ -62,6 +62,20 @@ impl Transcribed for Shooting {
 
     fn boundary_states(&self) -> Vec<StateId> {
         self.boundary.as_ref().map_or_else(Vec::new, Boundary::all_states)
+    }
+
+    fn path_constraint_name(&self, of: ConstraintPlace) -> String {
+        let ConstraintPlace { experiment: e, row, state } = of;
+        let (t, name) = (self.nodes[e][row + 1], &self.posed.state_names[state]);
+        format!("continuity of {name} at t = {t} s of '{}'", self.posed.experiments[e].name)
+    }
+
+    fn condition_name(&self, i: ConstraintId) -> String {
+        self.boundary.as_ref().map_or_else(String::new, |b| b.name(i, &self.posed.experiments))
+    }
+
+    fn why_not_finite(&self, xi: &[f64]) -> Option<String> {
+        self.explained(xi)
     }
 
     fn point_times(&self, experiment: ExperimentId) -> &[f64] {

@@ -197,8 +197,8 @@ impl ArrowKkt {
     fn merge(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
         let shape = &self.plan.shape;
         self.outer.fill(0.0);
-        for &(entry, row, column) in &self.plan.border {
-            let (row, column, value) = (row as usize, column as usize, hessian[entry as usize]);
+        for at in &self.plan.border {
+            let (row, column, value) = (at.row as usize, at.column as usize, hessian[at.entry as usize]);
             self.outer[row * shape.border + column] += value;
             if row != column {
                 self.outer[column * shape.border + row] += value;

@@ -36,7 +36,7 @@ use crate::nlp::Structure;
 use crate::tape::lanes::all_finite;
 use basis::Basis;
 use reduced::Reduced;
-use rows::Rows;
+use rows::{Rows, Triplet};
 
 /// Most steps of refinement.
 const REFINEMENTS: usize = 3;
@@ -116,14 +116,18 @@ impl SparseKkt {
         let mut symmetric = Vec::with_capacity(2 * hessian.len());
         for (number, (&row, &column)) in hessian.rows.iter().zip(&hessian.columns).enumerate() {
             let factor = scale[row as usize] * scale[column as usize];
-            symmetric.push((row, column, number as u32, factor));
+            let number = number as u32;
+            symmetric.push(Triplet { row, column, number, factor });
             if row != column {
-                symmetric.push((column, row, number as u32, factor));
+                symmetric.push(Triplet { row: column, column: row, number, factor });
             }
         }
         let places = jacobian.rows.iter().zip(&jacobian.columns).enumerate();
         let jacobian = places
-            .map(|(number, (&r, &c))| (r, c, number as u32, scale[c as usize] / row_scale[r as usize]))
+            .map(|(number, (&row, &column))| {
+                let factor = scale[column as usize] / row_scale[row as usize];
+                Triplet { row, column, number: number as u32, factor }
+            })
             .collect();
         let a = Rows::new(m, jacobian);
         let system = System::new(n, m);

@@ -1,6 +1,7 @@
 //! Covariance of the estimates, and their distance from the optimum, from one factorisation.
 
 use super::SLIGHT;
+use crate::dense::symmetrise;
 use crate::index::VariableId;
 use crate::interrupt::current;
 use crate::linalg::{Effort, Entries, KktChoice, KktError};
@@ -176,12 +177,7 @@ fn informed(
     let (mut d, mut more) = (vec![0.0; n], vec![0.0; m]);
     kkt.solve(&gradient, &c, &mut d, &mut more);
     let mut step: Vec<f64> = wanted.iter().map(|&i| d[i]).collect();
-    for i in 0..k {
-        for j in 0..i {
-            let mean = 0.5 * (covariance[i * k + j] + covariance[j * k + i]);
-            (covariance[i * k + j], covariance[j * k + i]) = (mean, mean);
-        }
-    }
+    symmetrise(&mut covariance, k);
     let mut sizes = vec![0.0; border];
     units.size_border(nlp, xi, (&jacobian, &hessian), &mut sizes);
     let sigmas: Vec<f64> = (0..k).map(|i| covariance[i * k + i].sqrt()).collect();

@@ -101,7 +101,7 @@ fn of_nalgebra() {
     );
     for n in [2, 4, 8, 16, 24, 32, 64] {
         let entry = |i: usize, j: usize| f64::from(i == j) + 0.3 / (1.0 + i.abs_diff(j) as f64).powi(2);
-        let own = DMatrix::from_fn(n, n, |i, j| entry(i, j));
+        let own = DMatrix::from_fn(n, n, entry);
         let other = Mat::from_fn(n, n, entry);
         let (right, side) = (DVector::from_element(n, 1.0), Mat::<f64>::from_fn(n, 1, |_, _| 1.0));
         let mut best = [f64::INFINITY; 4];

@@ -14,8 +14,8 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "interrupt", "dense", "setters", "lgl", "interpolate", "table", "error", "threads", "pairs",
-    "expr", "tape", "transform", "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment",
+    "math", "simd", "interrupt", "dense", "setters", "index", "lgl", "interpolate", "table", "error", "threads",
+    "pairs", "expr", "tape", "transform", "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment",
     "gaps", "measured", "mesh", "integrate", "problem", "collocation", "shooting", "filter", "linalg", "solver",
     "initial", "diagnosis", "simulate", "estimate",
 ]

@@ -17,10 +17,12 @@ from ..errors import DataError, OptionError, listing
 __all__ = [
     "FloatArray",
     "check_input",
+    "check_moves",
     "check_output",
     "checked_gaps",
     "columns",
     "gap_intervals",
+    "merged_spans",
     "moves",
     "pieces",
     "real",
@@ -106,6 +108,17 @@ def moves(values: FloatArray) -> bool:
     return bool(present.size) and bool(np.ptp(present) > 4.0 * np.finfo(np.float64).eps * np.abs(present).max())
 
 
+def check_moves(where: str, values: FloatArray) -> None:
+    """Raise DataError for an output that never changes, whose σ cannot be estimated."""
+    if not moves(values):
+        present = values[~np.isnan(values)]
+        what = f"is {present[0]:g} throughout" if present.size > 1 else "has a single sample"
+        raise DataError(
+            f"{where}: {what} (zero variance), so its σ cannot be estimated; "
+            "remove the output from the model or give its σ as known"
+        )
+
+
 def _sample(i: int | np.intp, t: FloatArray | None) -> str:
     return f"sample {i}" if t is None or i >= t.size else f"sample {i} (t = {t[i]:.6g} s)"
 
@@ -172,6 +185,26 @@ def checked_gaps(caller: str, gaps: Any) -> bool | float:
             f"times the intervals beside it, not {gaps!r}"
         )
     return float(gaps)
+
+
+def merged_spans(caller: str, spans: Sequence[Any]) -> list[tuple[float, float]]:
+    """Return begin and end (s) of spans in order, those that overlap as one; raise DataError for anything else."""
+    pairs: list[tuple[float, float]] = []
+    for span in spans:
+        try:
+            begin, end = map(float, getattr(span, "span", span))
+        except (TypeError, ValueError):
+            raise DataError(f"{caller}: spans are pairs of times, (t0, t1) in s, not {span!r}") from None
+        if not begin < end:
+            raise DataError(f"{caller}: the span {begin:g} to {end:g} s ends before it begins")
+        pairs.append((begin, end))
+    merged: list[tuple[float, float]] = []
+    for begin, end in sorted(pairs):
+        if merged and begin <= merged[-1][1]:
+            merged[-1] = merged[-1][0], max(end, merged[-1][1])
+        else:
+            merged.append((begin, end))
+    return merged
 
 
 def gap_intervals(t: FloatArray, gaps: bool | float) -> list[tuple[float, float]]:

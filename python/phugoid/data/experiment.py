@@ -213,13 +213,8 @@ class Experiment(Preprocessing):
                 continue
             values, where = self.output(name), checked.where(self._name, "output", name)
             checked.check_output(where, values, self._t)
-            if name not in known_sigma and not checked.moves(values):
-                present = values[~np.isnan(values)]
-                what = f"is {present[0]:g} throughout" if present.size > 1 else "has a single sample"
-                raise DataError(
-                    f"{where}: {what} (zero variance), so its σ cannot be estimated; "
-                    "remove the output from the model or give its σ as known"
-                )
+            if name not in known_sigma:
+                checked.check_moves(where, values)
 
     def window(self, t0: float, t1: float, name: str | None = None) -> Experiment:
         """Return the samples with ``t0 <= t <= t1`` (s), time unchanged; raise DataError where fewer than 2 are
@@ -253,25 +248,7 @@ class Experiment(Preprocessing):
         >>> [(part.name, part.n) for part in run.cut([(0.0, 0.1), (0.3, 0.4)])]
         [('run[1]', 2), ('run[2]', 2)]
         """
-        pairs: list[tuple[float, float]] = []
-        for span in spans:
-            try:
-                begin, end = map(float, getattr(span, "span", span))
-            except (TypeError, ValueError):
-                raise DataError(
-                    f"experiment '{self._name}': cut: spans are pairs of times, (t0, t1) in s, not {span!r}"
-                ) from None
-            if not begin < end:
-                raise DataError(
-                    f"experiment '{self._name}': cut: the span {begin:g} to {end:g} s ends before it begins"
-                )
-            pairs.append((begin, end))
-        merged: list[tuple[float, float]] = []
-        for begin, end in sorted(pairs):
-            if merged and begin <= merged[-1][1]:
-                merged[-1] = merged[-1][0], max(end, merged[-1][1])
-            else:
-                merged.append((begin, end))
+        merged = checked.merged_spans(f"experiment '{self._name}': cut", spans)
         return [self.window(a, b, f"{self._name}[{i}]") for i, (a, b) in enumerate(merged, 1)]
 
     def split(self, gaps: bool | float = True) -> list[Experiment]:

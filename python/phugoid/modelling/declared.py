@@ -21,7 +21,7 @@ import phugoid._core as _core
 
 from .._core import Expr
 from ..errors import ModelError, listing, some
-from ..notebook import equation, overview
+from ..notebook import equation, overview, readable
 from ..parameters import Parameter
 
 __all__ = [
@@ -33,14 +33,19 @@ __all__ = [
     "changed",
     "changed_parameters",
     "check_units",
+    "declare_each",
     "declare_parameter",
+    "declared_symbol",
     "equations_of",
     "kink_advice",
     "model_html",
+    "model_latex",
+    "model_text",
     "read_names",
     "rebuilt",
     "separated",
     "source_line",
+    "terms_added",
 ]
 
 
@@ -160,6 +165,29 @@ class Declared(tuple[Expr, ...]):
     __truediv__ = __rtruediv__ = __pow__ = __rpow__ = __neg__ = __abs__ = no_expression
 
 
+def declare_each(kind: str, expressions: Mapping[str, Any], act: Callable[[str, Any], Any]) -> list[Any]:
+    """Declare each of some equations by ``act``; raise ModelError, with the user's line, where one is no expression."""
+    if not expressions:
+        raise ModelError(f"{kind}: no equations were given")
+    results = []
+    for name, expression in expressions.items():
+        if isinstance(expression, Declared):
+            expression.no_expression()
+        try:
+            results.append(act(name, expression))
+        except TypeError as error:
+            raise ModelError(f"{kind} of '{name}' ({source_line()}): {error}") from None
+    return results
+
+
+def declared_symbol(symbol: Any, names: Sequence[str], where: str, what: str) -> str:
+    """Return the name of a symbol that is one of ``names``; raise ModelError for anything else."""
+    found = Expr(symbol).symbols if isinstance(symbol, Expr) else []
+    if len(found) != 1 or str(symbol) != next(iter(found)) or str(symbol) not in names:
+        raise ModelError(f"{where}: give the symbol of {what} of this model, not {symbol!r}")
+    return str(symbol)
+
+
 @dataclass(frozen=True)
 class State:
     """A state as declared: ``m.states(x=State("m", start=1.0, bounds=(0.01, 10)))``.
@@ -245,6 +273,22 @@ def added_parameters(
             found[name] = value if isinstance(value, Parameter) else Parameter(value)
         except (ModelError, TypeError) as error:
             raise ModelError(f"with_terms: '{name}': {error}") from None
+    return found
+
+
+def terms_added(core: _core.Model, terms: Mapping[str, Any]) -> dict[Key, Expr]:
+    """Return the equations that `Model.with_terms` replaces; raises as that does."""
+    names = {"quantity": "{}", "equation": "{}'", "output": "y:{}"}
+    old = {names[kind].format(name): ((kind, name), e) for (kind, name), e in equations_of(core) if kind in names}
+    found = {}
+    for name, term in terms.items():
+        if name not in old:
+            raise ModelError(f"with_terms: '{name}' is no equation.{listing(str(name), list(old))}")
+        key, e = old[name]
+        try:
+            found[key] = Expr(e + Expr(term))
+        except TypeError as error:
+            raise ModelError(f"with_terms: the term of '{name}': {error}") from None
     return found
 
 
@@ -361,3 +405,25 @@ def model_html(
         rows.append([symbol, "parameter", p.unit, f"{p.start:.6g}", remark])
     heads = ["symbol", "", "unit", "start", "bounds"]
     return overview(name, (["", "equation"], lines, "ll"), (heads, rows, "lllrl"), note=note)
+
+
+def model_latex(core: _core.Model, conditions: Sequence[str]) -> str:
+    """Return the equations of a model, and its measured conditions, as a LaTeX ``aligned`` block."""
+    lines = [f"{Expr.symbol(n).latex()} &= {e.latex()}" for n, e, *_ in core.quantities]
+    lines += [rf"\dot{{{Expr.symbol(n).latex()}}} &= {e.latex()}" for n, e, *_ in core.dynamics]
+    lines += [rf"\tilde{{{Expr.symbol(n).latex()}}} &= {e.latex()}" for n, e, *_ in core.outputs]
+    if conditions:
+        symbols = ",\\ ".join(Expr.symbol(n).latex() for n in conditions)
+        lines.append(rf"\text{{conditions: }} & {symbols}")
+    return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
+
+
+def model_text(core: _core.Model, conditions: Sequence[str]) -> str:
+    """Return the equations of a model, and its measured conditions, line by line."""
+    lines = [f"{name} = {e}" for name, e, *_ in core.quantities]
+    lines += [f"{name}' = {e}" for name, e, *_ in core.dynamics]
+    lines += [f"{name} (measured) = {e}" for name, e, *_ in core.outputs]
+    lines += [f"{state} ({end}) = {e}" for end, state, e, _ in core.conditions]
+    units = {n: f" ({unit})" if unit else "" for n, unit in core.inputs}
+    lines += [f"conditions: {', '.join(f'{n}{units[n]}' for n in conditions)}"] if conditions else []
+    return "\n".join([core.name, *(f"  {readable(line)}" for line in lines)])

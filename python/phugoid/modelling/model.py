@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import phugoid._core as _core
 
 from .._core import Expr
-from ..errors import DataError, ModelError, did_you_mean, listing, refuse_attribute
-from ..notebook import readable
+from ..errors import DataError, ModelError, did_you_mean, refuse_attribute
 from ..parameters import Parameter
 from ..writing import sealed, unsealed, write
 from .declared import (
@@ -24,12 +23,17 @@ from .declared import (
     changed,
     changed_parameters,
     check_units,
+    declare_each,
     declare_parameter,
+    declared_symbol,
     equations_of,
     model_html,
+    model_latex,
+    model_text,
     read_names,
     separated,
     source_line,
+    terms_added,
 )
 from .densities import noise_from_dict, stated_noise
 from .noise import Gaussian, Noise, Sigma
@@ -132,8 +136,8 @@ class Model:
         ``name`` names the symbol, ``<input>_delayed`` unless given. Before the first sample the input is taken as
         constant. A delay below zero is a lead.
         """
-        u = self._declared(input, self.input_names, "delay", "an input")
-        tau = self._declared(by, self.parameter_names, f"delay of {u}", "a parameter")
+        u = declared_symbol(input, self.input_names, "delay", "an input")
+        tau = declared_symbol(by, self.parameter_names, f"delay of {u}", "a parameter")
         late = name or f"{u}_delayed"
         symbol = self._core.input(late, self.units.get(u, ""))
         self._delays = self._delays.with_input(late, u, tau)
@@ -146,14 +150,8 @@ class Model:
             if output not in self.output_names:
                 hint = did_you_mean(output, self.output_names)
                 raise ModelError(f"sensor_delay: '{output}' is not an output.{hint}")
-            parameter = self._declared(tau, self.parameter_names, f"sensor_delay of {output}", "a parameter")
+            parameter = declared_symbol(tau, self.parameter_names, f"sensor_delay of {output}", "a parameter")
             self._delays = self._delays.with_output(output, parameter)
-
-    def _declared(self, symbol: Any, names: tuple[str, ...], where: str, what: str) -> str:
-        found = Expr(symbol).symbols if isinstance(symbol, Expr) else []
-        if len(found) != 1 or str(symbol) != next(iter(found)) or str(symbol) not in names:
-            raise ModelError(f"{where}: give the symbol of {what} of this model, not {symbol!r}")
-        return str(symbol)
 
     @property
     def delays(self) -> Delays:
@@ -171,12 +169,12 @@ class Model:
         A term that is added to a quantity later enters wherever the quantity is used.
         """
         source = source_line()
-        return Declared(self._each("quantity", expressions, lambda n, e: self._core.quantity(n, e, source)))
+        return Declared(declare_each("quantity", expressions, lambda n, e: self._core.quantity(n, e, source)))
 
     def dynamics(self, **expressions: Any) -> None:
         """Declare state equations: ``dynamics(x=...)`` is x' = ... (per second)."""
         source = source_line()
-        self._each("dynamics", expressions, lambda n, e: self._core.equation(n, e, source))
+        declare_each("dynamics", expressions, lambda n, e: self._core.equation(n, e, source))
 
     def initial(self, **expressions: Any) -> None:
         """Declare states at the first sample, which are free otherwise: ``initial(q=0.0)``, ``initial(h=h0)``.
@@ -196,7 +194,7 @@ class Model:
 
     def _end_conditions(self, end: str, expressions: Mapping[str, Any]) -> None:
         source = source_line()
-        self._each(f"{end} condition", expressions, lambda n, e: self._core.condition(end, n, e, source))
+        declare_each(f"{end} condition", expressions, lambda n, e: self._core.condition(end, n, e, source))
 
     def outputs(self, *args: Any, **expressions: Any) -> None:
         """Declare what is measured: ``outputs(name=expression)`` or ``name=(expression, "unit")``."""
@@ -208,20 +206,7 @@ class Model:
             expression, unit = value if isinstance(value, tuple) and len(value) == 2 else (value, "")
             self._core.output(name, expression, unit, source)
 
-        self._each("outputs", expressions, declare)
-
-    def _each(self, kind: str, expressions: Mapping[str, Any], act: Callable[[str, Any], Any]) -> list[Any]:
-        if not expressions:
-            raise ModelError(f"{kind}: no equations were given")
-        results = []
-        for name, expression in expressions.items():
-            if isinstance(expression, Declared):
-                expression.no_expression()
-            try:
-                results.append(act(name, expression))
-            except TypeError as error:
-                raise ModelError(f"{kind} of '{name}' ({source_line()}): {error}") from None
-        return results
+        declare_each("outputs", expressions, declare)
 
     def noise(self, *args: Noise, **sigma: float | Sigma | Expr | Noise) -> None:
         """Declare what is known of the noise: ``noise(alpha=0.002)`` for a known standard deviation of an output,
@@ -351,13 +336,7 @@ class Model:
 
     def latex(self) -> str:
         """Return the equations as a LaTeX ``aligned`` block."""
-        lines = [f"{Expr.symbol(n).latex()} &= {e.latex()}" for n, e, *_ in self._core.quantities]
-        lines += [rf"\dot{{{Expr.symbol(n).latex()}}} &= {e.latex()}" for n, e, *_ in self._core.dynamics]
-        lines += [rf"\tilde{{{Expr.symbol(n).latex()}}} &= {e.latex()}" for n, e, *_ in self._core.outputs]
-        if self.condition_names:
-            symbols = ",\\ ".join(Expr.symbol(n).latex() for n in self.condition_names)
-            lines.append(rf"\text{{conditions: }} & {symbols}")
-        return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
+        return model_latex(self._core, self.condition_names)
 
     def _repr_latex_(self) -> str | None:
         text = self.latex()
@@ -445,17 +424,7 @@ class Model:
         >>> "d" in damped.equations["q'"].symbols
         True
         """
-        keys = {name: ("quantity", name) for name in self.quantity_names}
-        keys |= {f"{name}'": ("equation", name) for name, *_ in self._core.dynamics}
-        keys |= {f"y:{name}": ("output", name) for name in self.output_names}
-        old, equations = self.equations, {}
-        for name, term in terms.items():
-            if name not in keys:
-                raise ModelError(f"with_terms: '{name}' is no equation.{listing(str(name), list(keys))}")
-            try:
-                equations[keys[name]] = Expr(old[name] + Expr(term))
-            except TypeError as error:
-                raise ModelError(f"with_terms: the term of '{name}': {error}") from None
+        equations = terms_added(self._core, terms)
         new = added_parameters(self.declared_parameters, parameters or {})
         return self._changed(parameters=new, equations=equations)
 
@@ -539,14 +508,7 @@ class Model:
         return f"{counts}, {len(self.parameter_names)} parameters"
 
     def __str__(self) -> str:
-        lines = [f"{name} = {e}" for name, e, *_ in self._core.quantities]
-        lines += [f"{name}' = {e}" for name, e, *_ in self._core.dynamics]
-        lines += [f"{name} (measured) = {e}" for name, e, *_ in self._core.outputs]
-        lines += [f"{state} ({end}) = {e}" for end, state, e, _ in self._core.conditions]
-        units = {n: f" ({unit})" if unit else "" for n, unit in self._core.inputs}
-        listed = ", ".join(f"{n}{units[n]}" for n in self.condition_names)
-        lines += [f"conditions: {listed}"] if listed else []
-        return "\n".join([self.name, *(f"  {readable(line)}" for line in lines)])
+        return model_text(self._core, self.condition_names)
 
 
 def _saved_conditions(names: Any, inputs: Sequence[str]) -> tuple[str, ...]:

@@ -4,8 +4,8 @@
 
 use nalgebra::{DMatrix, DVector, SVD, SymmetricEigen};
 use phugoid::estimate::{Beginning, Problem, Solver};
-use phugoid::linalg::{Curvature, Effort, Entries, Factor, KktChoice, KktError, KktSolver};
-use phugoid::nlp::{Nlp, NotFinite, Structure};
+use phugoid::linalg::{Curvature, Direction, Effort, Entries, Factor, KktChoice, KktError, KktSolver};
+use phugoid::nlp::{Nlp, NotFinite, Structure, VariableId};
 use phugoid::solver::{Control, Iteration, Settings, Solution, Status};
 use phugoid::{Estimation, Experiment, Model, Parameter, Sigma};
 
@@ -23,7 +23,7 @@ struct Dense {
     /// A basis Z of their null space, and the inverse of ZᵀHZ.
     basis: DMatrix<f64>,
     inverse: DMatrix<f64>,
-    weak: Vec<Vec<(usize, f64)>>,
+    weak: Vec<Direction>,
 }
 
 impl Dense {
@@ -109,7 +109,9 @@ impl Factor for Dense {
             } else {
                 found.zero += 1
             }
-            let mut direction: Vec<(usize, f64)> = (&basis * vector).iter().copied().enumerate().collect();
+            let parts = &basis * vector;
+            let mut direction: Direction =
+                parts.iter().enumerate().map(|(i, part)| (VariableId(i), *part)).collect();
             direction.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
             self.weak.push(direction);
         }
@@ -140,7 +142,7 @@ impl Factor for Dense {
         lambda.copy_from_slice((u * scaled).rows(0, lambda.len()).as_slice());
     }
 
-    fn weak_directions(&self) -> &[Vec<(usize, f64)>] {
+    fn weak_directions(&self) -> &[Direction] {
         &self.weak
     }
 

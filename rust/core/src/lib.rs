@@ -72,6 +72,7 @@
 //! | | |
 //! |---|---|
 //! | `math`, `lgl`, `interpolate`, `table`, `dense` | elementary functions with the same bits everywhere, Lobatto nodes and integration matrix, inputs between samples, smooth interpolation tables, dense matrices |
+//! | `index` | types of the numberings: parameters, variables, constraints, states, points, experiments |
 //! | `error`, [`interrupt`], `threads` | what can be wrong, in the user's names; early ends of work; the threads that it is done on |
 //! | [`expr`] | symbolic expressions: operators, exact derivatives, printing, saving |
 //! | `tape` | expressions compiled to run over blocks of points |
@@ -109,6 +110,7 @@ mod experiment;
 pub mod expr;
 pub mod filter;
 mod gaps;
+mod index;
 mod initial;
 mod integrate;
 mod interpolate;

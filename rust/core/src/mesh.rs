@@ -8,6 +8,7 @@ use crate::lgl::Lgl;
 
 /// The division of an experiment into segments (Eq. multiple_shooting_grid).
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Grid {
     /// Every interval between samples is divided into this many segments.
     Samples(usize),

@@ -11,7 +11,7 @@ use phugoid::collocation::segments_in_chunk;
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::model::Model;
 use phugoid::nlp::check::check_derivatives;
-use phugoid::nlp::{Named, Nlp};
+use phugoid::nlp::{ConstraintId, ExperimentId, Named, Nlp, VariableId};
 use phugoid::noise::Noise;
 
 const ORDERS: [usize; 5] = [2, 3, 4, 5, 8];
@@ -30,11 +30,11 @@ fn problem(model: &Model, lengths: &[usize], noise: Noise, order: usize, grid: V
 
 /// All derivatives, and what must hold of the structures.
 fn check(problem: &Collocation, what: &str) {
-    let all: Vec<usize> = (0..problem.n()).collect();
+    let all: Vec<VariableId> = (0..problem.n()).map(VariableId).collect();
     check_columns(problem, &all, what);
 }
 
-fn check_columns(problem: &Collocation, columns: &[usize], what: &str) {
+fn check_columns(problem: &Collocation, columns: &[VariableId], what: &str) {
     let mut random = Random(3);
     let lambda: Vec<f64> = (0..problem.m()).map(|_| random.between(-1.0, 1.0)).collect();
     let xi = guess(problem, 4);
@@ -141,7 +141,7 @@ fn boundaries_of_chunks() {
         let layout = &problem.layout;
         let per_chunk = segments_in_chunk(order) * (order - 1);
         let mut points = HashSet::new();
-        for (e, mesh) in problem.meshes.iter().enumerate() {
+        for (e, mesh) in problem.meshes.numbered() {
             let first = layout.first_point[e];
             for boundary in (0..mesh.n_mesh).step_by(per_chunk).chain([mesh.n_mesh - 1]) {
                 let near = boundary.saturating_sub(order)..(boundary + order + 1).min(mesh.n_mesh);
@@ -153,7 +153,7 @@ fn boundaries_of_chunks() {
             points.extend(mesh.between.iter().filter(|b| near(b.segment)).map(|b| first + b.point));
         }
         let states = points.iter().flat_map(|&p| (0..layout.n_x).map(move |r| layout.state(p) + r));
-        let mut columns: Vec<usize> = (0..layout.n_theta).chain(states).collect();
+        let mut columns: Vec<VariableId> = (0..layout.n_theta).map(VariableId).chain(states).collect();
         columns.sort_unstable();
         check_columns(&problem, &columns, &format!("order {order}, {grid:?}"));
     }
@@ -170,7 +170,7 @@ fn the_objective_is_the_likelihood_written_out() {
         let xi = guess(&problem, 5);
         let sigma = problem.posed.noise.sigmas(&xi[problem.posed.n_model_parameters..]);
         let mut expected = 0.0;
-        for (e, record) in records.iter().enumerate() {
+        for (e, record) in records.iter().enumerate().map(|(e, r)| (ExperimentId(e), r)) {
             let y = problem.outputs_at_samples(&xi, e);
             for (c, sigma) in sigma.iter().enumerate() {
                 for (z, y) in record.outputs[c].iter().zip(&y[c]).filter(|(z, _)| !z.is_nan()) {
@@ -227,14 +227,15 @@ fn bounds_hold_fixed_parameters_and_positive_precisions() {
 fn every_variable_and_constraint_has_its_own_name() {
     let model = models::nonlinear();
     let problem = problem(&model, &[12, 9], mixed_noise(&model), 4, vec![Grid::Uniform(5)]);
-    let variables: HashSet<String> = (0..problem.n()).map(|i| problem.variable_name(i)).collect();
+    let variables: HashSet<String> = (0..problem.n()).map(|i| problem.variable_name(VariableId(i))).collect();
     assert_eq!(variables.len(), problem.n());
-    let constraints: HashSet<String> = (0..problem.m()).map(|i| problem.constraint_name(i)).collect();
+    let constraints: HashSet<String> =
+        (0..problem.m()).map(|i| problem.constraint_name(ConstraintId(i))).collect();
     assert_eq!(constraints.len(), problem.m());
-    assert_eq!(problem.variable_name(0), "CL0");
+    assert_eq!(problem.variable_name(VariableId(0)), "CL0");
     // States stand in the order in which they were declared, not that of their equations.
-    let first = problem.variable_name(problem.layout.n_theta);
+    let first = problem.variable_name(VariableId(problem.layout.n_theta));
     assert_eq!(first, "V at t = 0.3 s of 'run 0'");
-    let last = problem.constraint_name(problem.m() - 1);
+    let last = problem.constraint_name(ConstraintId(problem.m() - 1));
     assert!(last.starts_with("defect of q ending at") && last.ends_with("of 'run 1'"), "{last}");
 }

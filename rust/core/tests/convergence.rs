@@ -10,6 +10,7 @@ use phugoid::Interpolation;
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::expr::Expr;
 use phugoid::model::Model;
+use phugoid::nlp::{ExperimentId, PointId};
 use phugoid::noise::{Noise, Sigma};
 
 /// A model without inputs, every state an output, and its solution.
@@ -74,13 +75,13 @@ fn errors(known: &Known, order: usize, n: usize, samples: usize) -> (f64, f64) {
     let noise = Noise::Gaussian(vec![Sigma::Known(1.0); n_x]);
     let settings = Settings::default().order(order).grid(vec![Grid::Uniform(n)]).threads(1);
     let problem = Collocation::new(&known.model, &[record], noise, &settings).unwrap();
-    let mesh = &problem.meshes[0];
+    let mesh = &problem.meshes[ExperimentId(0)];
     // From the solution: the first point is right, and Newton's method finds the discrete solution next to it.
     let mut xi: Vec<f64> = mesh.times.iter().flat_map(|&t| (known.solution)(t)).collect();
     solve_defects(&problem, &mut xi);
     let error = |point: usize| {
         let exact = (known.solution)(mesh.times[point]);
-        let at = problem.layout.state(point);
+        let at = problem.layout.state(PointId(point)).0;
         exact.iter().zip(&xi[at..]).map(|(e, x)| (e - x).abs()).fold(0.0, f64::max)
     };
     let ends = mesh.segments.iter().map(|s| error(s.point + order - 1)).fold(0.0, f64::max);

@@ -9,7 +9,7 @@ use phugoid::Grid;
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::internals::interpolate::{Interpolation, interpolate};
 use phugoid::model::Model;
-use phugoid::nlp::{Named, Nlp};
+use phugoid::nlp::{ConstraintId, Named, Nlp};
 
 fn check(model: &Model, order: usize, grid: Grid, interpolation: Interpolation) {
     // The first record is longer than a chunk.
@@ -24,10 +24,10 @@ fn check(model: &Model, order: usize, grid: Grid, interpolation: Interpolation) 
     let (f, _) = model.expanded();
     let n_x = model.states.len();
     let mut expected = Vec::new();
-    for (e, (record, mesh)) in records.iter().zip(&problem.meshes).enumerate() {
+    for (record, (e, mesh)) in records.iter().zip(problem.meshes.numbered()) {
         let inputs: Vec<Vec<f64>> =
             record.inputs.iter().map(|u| interpolate(interpolation, &record.t, u, &mesh.times)).collect();
-        let x = |point: usize| &xi[problem.layout.state(problem.layout.first_point[e] + point)..][..n_x];
+        let x = |point: usize| &xi[problem.layout.states(problem.layout.first_point[e] + point)];
         let f_at = |point: usize| -> Vec<f64> {
             let mut at = values(&[("time", mesh.times[point])]);
             at.extend(problem.posed.parameters.iter().zip(&xi).map(|(p, v)| (p.name.as_str().into(), *v)));
@@ -62,7 +62,7 @@ fn check(model: &Model, order: usize, grid: Grid, interpolation: Interpolation) 
         assert!(
             (found - expected).abs() < 1e-12 * (1.0 + expected.abs()),
             "{}, order {order}: {found} for {expected}",
-            problem.constraint_name(i)
+            problem.constraint_name(ConstraintId(i))
         );
     }
 }

@@ -6,7 +6,7 @@ use common::Random;
 use phugoid::collocation::{self, Collocation};
 use phugoid::estimate::Bound;
 use phugoid::filter::{self, Filter};
-use phugoid::nlp::Nlp;
+use phugoid::nlp::{Nlp, PointId};
 use phugoid::noise::Noise;
 use phugoid::solver::{Control, Settings, Status};
 use phugoid::{Error, Estimation, Experiment, Fit, Model, Parameter, Sigma};
@@ -216,7 +216,7 @@ fn states_start_as_measured_or_given() {
     let runs = [run.unwrap()];
     let states = |estimation: Estimation<'_>| {
         let (problem, xi) = estimation.order(2).transcribe().unwrap();
-        xi[problem.layout.state(0)..].to_vec()
+        xi[problem.layout.state(PointId(0)).0..].to_vec()
     };
     // A missing sample is bridged.
     assert_eq!(states(Estimation::new(&m, &runs)), [0.5, 0.0, 1.0, 0.0, 1.5, 0.0]);
@@ -247,7 +247,7 @@ fn a_run_goes_on_from_a_fit() {
     let finer = Estimation::new(&model, &runs).order(6).start_from(&fit);
     let (problem, xi) = finer.transcribe().unwrap();
     assert_eq!(&xi[..2], &[fit["tau"].value, fit["gain"].value]);
-    assert!((xi[problem.layout.state(0)] - fit.state(0, "x").unwrap()[0]).abs() < 1e-15);
+    assert!((xi[problem.layout.state(PointId(0))] - fit.state(0, "x").unwrap()[0]).abs() < 1e-15);
     assert!(finer.solve().unwrap().iterations <= 3);
     let mut extended = model.clone();
     let bias = extended.parameter(Parameter::new("bias", 0.0)).unwrap();

@@ -7,7 +7,7 @@ use phugoid::Interpolation;
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::expr::{Expr, gt, select};
 use phugoid::model::{Model, Parameter};
-use phugoid::nlp::{Named, Nlp, NotFinite};
+use phugoid::nlp::{ExperimentId, Named, Nlp, NotFinite};
 use phugoid::noise::{Noise, Sigma};
 
 const STEP: f64 = 0.5;
@@ -48,7 +48,7 @@ fn point(problem: &Collocation, value: f64) -> Vec<f64> {
     let mut xi = vec![0.7; problem.n()];
     xi[0] = 2.0;
     xi[1] = 1.0;
-    let at = problem.layout.first_point[1] + 3;
+    let at = problem.layout.first_point[ExperimentId(1)] + 3;
     xi[problem.layout.state(at)] = value;
     xi
 }
@@ -159,7 +159,7 @@ fn branches_not_taken_are_not_blamed() {
     // Nor is an infinity that comes to nothing.
     let p = problem(&(1.0 / (100.0 * x()).exp() + (x() - 20.0).sqrt().pow(2.0)), &x());
     let mut xi = vec![21.0; p.n()];
-    let at = p.layout.first_point[1] + 3;
+    let at = p.layout.first_point[ExperimentId(1)] + 3;
     xi[p.layout.state(at)] = 19.0;
     assert!(failing(&p, &xi)[2]);
     explained(&p, &xi, &["sqrt(x - 20) = NaN", "'second'", "t = 1.5 s"]);

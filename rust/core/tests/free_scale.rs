@@ -4,6 +4,7 @@ mod common;
 
 use common::Random;
 use phugoid::model::Variable;
+use phugoid::nlp::PointId;
 use phugoid::shooting::Shots;
 use phugoid::solver::Status;
 use phugoid::{Estimation, Experiment, Grid, Model, Parameter, Simulation};
@@ -77,7 +78,7 @@ fn a_state_starts_as_declared_and_within_its_bounds() {
         let upper = Variable { start: declared, lower: Some(0.1), upper: Some(9.0), ..level() };
         let model = tanks(start, upper);
         let (problem, xi) = Estimation::new(&model, &[record(&model)]).transcribe().unwrap();
-        let first = problem.layout.state(0);
+        let first = problem.layout.state(PointId(0)).0;
         assert!(xi[first..].iter().step_by(2).all(|x| *x == expected), "{:?}", &xi[first..first + 4]);
     }
 }

@@ -44,7 +44,9 @@ fn residuals(problem: &Collocation, xi: &[f64], measured: &[Vec<Vec<f64>>]) -> V
     let sigma = problem.posed.noise.sigmas(&xi[problem.posed.n_model_parameters..]);
     let mut all = Vec::new();
     for (e, z) in measured.iter().enumerate() {
-        for ((y, z), sigma) in problem.outputs_at_samples(xi, e).iter().zip(z).zip(&sigma) {
+        for ((y, z), sigma) in
+            problem.outputs_at_samples(xi, phugoid::nlp::ExperimentId(e)).iter().zip(z).zip(&sigma)
+        {
             all.extend(y.iter().zip(z).filter(|(_, z)| !z.is_nan()).map(|(y, z)| (z - y) / sigma));
         }
     }

@@ -6,8 +6,8 @@ use common::newton::solve_defects;
 use nalgebra::{DMatrix, DVector};
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::internals::interpolate::{derivative, interpolate};
-use phugoid::nlp::Nlp;
 use phugoid::nlp::check::check_derivatives;
+use phugoid::nlp::{ExperimentId, Nlp, PointId, VariableId};
 use phugoid::noise::Noise;
 use phugoid::shooting::Shots;
 use phugoid::shooting::Steps;
@@ -131,17 +131,17 @@ fn collocation_is_exact() {
             let problem = Collocation::new(&model, std::slice::from_ref(&run), noise(), &settings).unwrap();
             let mut xi = vec![0.0; problem.n()];
             xi[..3].copy_from_slice(&TRUTH);
-            let first = problem.layout.state(0);
+            let first = problem.layout.state(PointId(0)).0;
             (xi[first], xi[first + 1]) = (0.3, -0.2);
             solve_defects(&problem, &mut xi);
             let what = format!("{grid:?}");
             let at = |i: usize| -> Vec<f64> {
-                let points = problem.meshes[0].sample_points.iter();
-                points.map(|&p| xi[problem.layout.state(p) + i]).collect()
+                let points = problem.meshes[ExperimentId(0)].sample_points.iter();
+                points.map(|&p| xi[problem.layout.state(PointId(p)) + i]).collect()
             };
             assert_near(&at(0), &states[0], 1e-10, &what);
             assert_near(&at(1), &states[1], 1e-10, &what);
-            assert_near(&problem.outputs_at_samples(&xi, 0)[1], &run.outputs[1], 1e-9, &what);
+            assert_near(&problem.outputs_at_samples(&xi, ExperimentId(0))[1], &run.outputs[1], 1e-9, &what);
         }
     }
 }
@@ -188,7 +188,7 @@ fn derivatives_are_those_of_differences() {
         let wave = |i: usize, s: f64| (s * (i as f64 + 1.0)).sin();
         let xi: Vec<f64> = (0..problem.n()).map(|i| 0.5 + 0.3 * wave(i, 1.7)).collect();
         let lambda: Vec<f64> = (0..problem.m()).map(|i| wave(i, 0.9)).collect();
-        let columns: Vec<usize> = (0..problem.n()).collect();
+        let columns: Vec<VariableId> = (0..problem.n()).map(VariableId).collect();
         let wrong = check_derivatives(&problem, &xi, &lambda, &columns, 1e-5).unwrap();
         assert!(wrong.is_empty(), "{:?}", &wrong[..wrong.len().min(5)]);
     }

@@ -13,7 +13,7 @@ use phugoid::linalg::arrow::ArrowKkt;
 use phugoid::linalg::sparse::SparseKkt;
 use phugoid::linalg::{Effort, Entries, Factor, KktSolver};
 use phugoid::model::Model;
-use phugoid::nlp::Nlp;
+use phugoid::nlp::{ExperimentId, Nlp, PointId, VariableId};
 use phugoid::solver::state_units;
 
 struct Case {
@@ -168,14 +168,15 @@ fn covariance_is_the_block_of_the_inverse() {
     let inverse = case.dense(&held).try_inverse().unwrap();
     // Parameters and first states of both experiments, read off; and other states, by solving.
     let l = &case.problem.layout;
-    let first = [l.state(0), l.state(0) + 1, l.state(l.first_point[1]), l.state(l.first_point[1]) + 1];
-    for others in [vec![], vec![l.state(3)]] {
-        let wanted: Vec<usize> = (0..l.n_theta).chain(first).chain(others).collect();
+    let [one, other] = [0, 1].map(|e| l.state(l.first_point[ExperimentId(e)]));
+    let first = [one, one + 1, other, other + 1];
+    for others in [vec![], vec![l.state(PointId(3))]] {
+        let wanted: Vec<VariableId> = (0..l.n_theta).map(VariableId).chain(first).chain(others).collect();
         let mut covariance = vec![0.0; wanted.len() * wanted.len()];
         arrow.covariance(&wanted, &mut covariance);
         for i in 0..wanted.len() {
             for j in 0..wanted.len() {
-                let (a, b) = (wanted[i], wanted[j]);
+                let (a, b) = (wanted[i].0, wanted[j].0);
                 let scale = (inverse[(a, a)] * inverse[(b, b)]).abs().sqrt();
                 let got = covariance[i * wanted.len() + j];
                 assert!(

@@ -10,7 +10,7 @@ use phugoid::linalg::arrow::ArrowKkt;
 use phugoid::linalg::sparse::SparseKkt;
 use phugoid::linalg::{Effort, Entries, Factor, KktError, KktSolver, kkt_for};
 use phugoid::model::End;
-use phugoid::nlp::Nlp;
+use phugoid::nlp::{Nlp, PointId, VariableId};
 use phugoid::noise::Noise;
 use phugoid::{Experiment, Expr, Grid, Model, Parameter, Sigma};
 
@@ -173,7 +173,8 @@ fn the_covariance_is_that_of_the_sparse_factorisation() {
     for (number, case) in cases().iter().enumerate() {
         let (mut arrow, mut sparse) = (case.arrow(), case.sparse());
         let held = vec![false; case.problem.n()];
-        let wanted: Vec<usize> = (0..4).chain([case.problem.layout.state(0)]).collect();
+        let first = case.problem.layout.state(PointId(0));
+        let wanted: Vec<VariableId> = (0..4).map(VariableId).chain([first]).collect();
         let covariance = |factor: &mut dyn Factor| {
             assert!(factor.finish(&held, 0.0).is_positive());
             let mut out = vec![0.0; wanted.len() * wanted.len()];

@@ -6,7 +6,7 @@ use common::Random;
 use nalgebra::{DMatrix, DVector};
 use phugoid::linalg::arrow::ArrowKkt;
 use phugoid::linalg::{self, Effort, Factor, KktSolver};
-use phugoid::nlp::{Boundary, Chain, Chains, Structure, Threads, Tie};
+use phugoid::nlp::{Boundary, Chain, Chains, ConstraintId, StateId, Structure, Threads, Tie, VariableId};
 
 /// What a random system is like.
 #[derive(Clone, Debug)]
@@ -103,11 +103,18 @@ fn system(kind: &Kind, seed: u64) -> System {
         let inner = segments * points * n_x;
         let tie = |(i, &segment): (usize, &usize)| {
             let at = inner + i * n_x;
-            Tie { segment, variable: n + n_x + at, row: m + at }
+            Tie { segment, variable: VariableId(n + n_x + at), row: ConstraintId(m + at) }
         };
         let ties = of_tie.iter().enumerate().map(tie).collect();
         let boundary = Boundary::default();
-        chains.chains.push(Chain { variable: n, row: m, segments, points, ties, boundary });
+        chains.chains.push(Chain {
+            variable: VariableId(n),
+            row: ConstraintId(m),
+            segments,
+            points,
+            ties,
+            boundary,
+        });
         n += n_x + inner + kind.ties * n_x;
         m += inner + kind.ties * n_x;
     }
@@ -116,9 +123,9 @@ fn system(kind: &Kind, seed: u64) -> System {
     scale.extend((0..m).map(|i| 1.0 / units[i % n_x]));
     for chain in &mut chains.chains {
         let first = random.bits() as usize;
-        let states: Vec<usize> = (0..kind.boundary).map(|i| (first + i) % n_x).collect();
-        scale.extend(states.iter().map(|&s| 1.0 / units[s]));
-        chain.boundary = Boundary { row: m, states };
+        let states: Vec<StateId> = (0..kind.boundary).map(|i| StateId((first + i) % n_x)).collect();
+        scale.extend(states.iter().map(|s| 1.0 / units[s.0]));
+        chain.boundary = Boundary { row: ConstraintId(m), states };
         m += kind.boundary;
     }
     let mut system =
@@ -153,9 +160,9 @@ fn equations(
     let n_x = part_of.len();
     let states = |p: usize| (0..n_x).filter(move |&i| part_of[i] == p);
     for s in 0..chain.segments {
-        let point = |j: usize| chain.variable + (s * chain.points + j) * n_x;
-        let core = (1..=chain.points).map(|j| (chain.row + (s * chain.points + j - 1) * n_x, point(j)));
-        let ties = chain.ties.iter().filter(|t| t.segment == s).map(|t| (t.row, t.variable));
+        let point = |j: usize| chain.variable.0 + (s * chain.points + j) * n_x;
+        let core = (1..=chain.points).map(|j| (chain.row.0 + (s * chain.points + j - 1) * n_x, point(j)));
+        let ties = chain.ties.iter().filter(|t| t.segment == s).map(|t| (t.row.0, t.variable.0));
         for (k, (row, own)) in core.chain(ties).enumerate() {
             for (i, &p) in part_of.iter().enumerate() {
                 let row = row + i;
@@ -180,12 +187,12 @@ fn equations(
         }
     }
     // Conditions may join parts.
-    let last = chain.variable + chain.segments * chain.points * n_x;
-    for (k, &s) in chain.boundary.states.iter().enumerate() {
-        let row = chain.boundary.row + k;
+    let last = chain.variable.0 + chain.segments * chain.points * n_x;
+    for (k, &StateId(s)) in chain.boundary.states.iter().enumerate() {
+        let row = chain.boundary.row.0 + k;
         for i in 0..n_x {
             let (a, b) = (random.between(-0.2, 0.2), random.between(-0.2, 0.2));
-            to.push(random, row, chain.variable + i, if i == s { 1.0 } else { a });
+            to.push(random, row, chain.variable.0 + i, if i == s { 1.0 } else { a });
             if random.bits().is_multiple_of(2) {
                 to.push(random, row, last + i, b);
             }
@@ -196,8 +203,8 @@ fn equations(
 
 fn outputs(kind: &Kind, part_of: &[usize], chain: &Chain, random: &mut Random, to: &mut Entries) {
     let n_x = part_of.len();
-    let inner = (0..=chain.segments * chain.points).map(|i| chain.variable + i * n_x);
-    for (number, point) in inner.chain(chain.ties.iter().map(|t| t.variable)).enumerate() {
+    let inner = (0..=chain.segments * chain.points).map(|i| chain.variable.0 + i * n_x);
+    for (number, point) in inner.chain(chain.ties.iter().map(|t| t.variable.0)).enumerate() {
         // Of all parts, of one, of one but zero, none.
         let mode = random.bits() % 4;
         let seen = random.bits() as usize % kind.parts.len();
@@ -335,13 +342,14 @@ fn the_covariance_is_the_block_of_the_inverse() {
         let mut inverse = system.dense(&held).try_inverse().unwrap();
         (0..system.n).filter(|&i| held[i]).for_each(|i| inverse[(i, i)] = 0.0);
         let n_x = system.units.len();
-        let first = system.chains.chains.iter().flat_map(|c| c.variable..c.variable + n_x);
+        let first = system.chains.chains.iter().flat_map(|c| c.variable.0..c.variable.0 + n_x);
         let wanted: Vec<usize> = (0..kind.border).chain(first).collect();
         // Read off, and with a state inside by solving.
         for others in [vec![], vec![system.n - 1]] {
             let wanted: Vec<usize> = wanted.iter().chain(&others).copied().collect();
             let mut covariance = vec![0.0; wanted.len() * wanted.len()];
-            arrow.covariance(&wanted, &mut covariance);
+            let variables: Vec<VariableId> = wanted.iter().map(|&i| VariableId(i)).collect();
+            arrow.covariance(&variables, &mut covariance);
             for (i, &a) in wanted.iter().enumerate() {
                 for (j, &b) in wanted.iter().enumerate() {
                     let got = covariance[i * wanted.len() + j] / (system.scale[a] * system.scale[b]);

@@ -13,7 +13,7 @@ use phugoid::collocation::{Collocation, Settings};
 use phugoid::linalg::sparse::SparseKkt;
 use phugoid::linalg::{Curvature, Effort, Entries, Factor, KktError, KktSolver};
 use phugoid::model::{Model, Parameter};
-use phugoid::nlp::{Named, Nlp, Structure};
+use phugoid::nlp::{Named, Nlp, Structure, VariableId};
 use phugoid::noise::{Noise, Sigma};
 use proptest::prelude::*;
 
@@ -445,7 +445,7 @@ fn a_constraint_that_depends_on_others_is_named() {
         let mut kkt = dependent.sparse();
         let error = kkt.factorize(&dependent.entries(), Effort::FULL).err().unwrap();
         let KktError::Dependent { row } = error else { panic!("{error}") };
-        assert!(row == m || of.contains(&row), "{row} for {m} or {of:?}");
+        assert!(row.0 == m || of.contains(&row.0), "{row:?} for {m} or {of:?}");
         // Nothing is positive then, and nothing looks like a solution.
         assert!(!kkt.finish(&vec![false; n], 0.0).is_positive());
         assert!(solve(&mut kkt, &dependent, &DVector::zeros(n + m + 1)).iter().all(|x| x.is_nan()));
@@ -529,10 +529,10 @@ fn directions_of_no_curvature_are_named() {
     let (h, a) = (case.dense_h(), case.dense_a());
     for direction in kkt.weak_directions() {
         assert!(direction.windows(2).all(|w| w[0].1.abs() >= w[1].1.abs()));
-        named.extend(direction.iter().map(|(i, _)| *i));
+        named.extend(direction.iter().map(|(i, _)| i.0));
         let d = DVector::from_fn(8, |i, _| {
             let unit = if h[(i, i)] == 0.0 { 1.0 } else { h[(i, i)].sqrt() };
-            direction.iter().find(|x| x.0 == i).map_or(0.0, |x| x.1 / unit)
+            direction.iter().find(|x| x.0 == VariableId(i)).map_or(0.0, |x| x.1 / unit)
         });
         assert!((&a * &d).amax() < 1e-12 && (&h * &d).amax() < 1e-12, "{direction:?}");
     }
@@ -543,7 +543,7 @@ fn directions_of_no_curvature_are_named() {
     held[7] = true;
     assert_eq!(kkt.finish(&held, 0.0), Curvature { negative: 0, zero: 1 });
     let [direction] = kkt.weak_directions() else { panic!() };
-    let variables: Vec<usize> = direction.iter().map(|x| x.0).collect();
+    let variables: Vec<usize> = direction.iter().map(|x| x.0.0).collect();
     assert!(variables == [0, 1] || variables == [1, 0]);
     assert!((direction[0].1 + direction[1].1).abs() < 1e-12);
     held[1] = true;
@@ -566,7 +566,7 @@ fn directions_of_negative_curvature_have_it() {
             // Small parts are left out.
             if direction.len() < 4 {
                 let mut d = DVector::zeros(12);
-                direction.iter().for_each(|&(i, part)| d[i] = part / units[i].sqrt());
+                direction.iter().for_each(|&(VariableId(i), part)| d[i] = part / units[i].sqrt());
                 let curvature = (d.transpose() * &h * &d)[0];
                 assert!(curvature < 0.05, "{curvature}");
                 found += 1;
@@ -585,9 +585,9 @@ fn what_constraints_determine_cannot_be_held() {
     (1..4).for_each(|i| case.add_a(1, i, 1.0));
     let mut kkt = case.factorized();
     assert_eq!(kkt.finish(&[true, false, false, false], 0.0), Curvature { negative: 0, zero: 1 });
-    assert_eq!(kkt.weak_directions(), [[(0, 1.0)]]);
+    assert_eq!(kkt.weak_directions(), [[(VariableId(0), 1.0)]]);
     assert_eq!(kkt.finish(&[false, true, true, true], 0.0), Curvature { negative: 0, zero: 1 });
-    assert!(kkt.weak_directions()[0][0].0 > 0);
+    assert!(kkt.weak_directions()[0][0].0 > VariableId(0));
     assert!(kkt.finish(&[false, true, true, false], 0.0).is_positive());
     let x = solve(&mut kkt, &case, &DVector::from_vec(vec![1.0, 2.0, 3.0, 4.0, 6.0, 5.0]));
     let expected = [3.0, 0.0, 0.0, 5.0, -1.0, -1.0];
@@ -721,7 +721,7 @@ fn covariance_is_the_block_of_the_inverse() {
     let inverse = case.dense(&held, &[0.0; 30]).try_inverse().unwrap();
     let wanted = [0, 7, 4, 29];
     let mut covariance = [f64::NAN; 16];
-    kkt.covariance(&wanted, &mut covariance);
+    kkt.covariance(&wanted.map(VariableId), &mut covariance);
     for (i, &r) in wanted.iter().enumerate() {
         for (j, &c) in wanted.iter().enumerate() {
             let expected = if held[r] || held[c] { 0.0 } else { inverse[(r, c)] };

@@ -5,7 +5,7 @@ mod common;
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::expr::Expr;
 use phugoid::model::{Model, Parameter};
-use phugoid::nlp::{Named, Nlp};
+use phugoid::nlp::{Named, Nlp, VariableId};
 use phugoid::noise::{Noise, Sigma};
 use phugoid::{Error, ErrorKind, Experiment};
 
@@ -74,7 +74,12 @@ fn agrees_with_differences(n: usize, in_dynamics: bool) {
     for i in 0..p.n() {
         let difference = (a[i] - 8.0 * b[i] + 8.0 * c[i] - d[i]) / (12.0 * h);
         let error = (product[i] - difference).abs();
-        assert!(error < 1e-6 * size, "{}: {} by differences {difference}", p.variable_name(i), product[i]);
+        assert!(
+            error < 1e-6 * size,
+            "{}: {} by differences {difference}",
+            p.variable_name(VariableId(i)),
+            product[i]
+        );
     }
 }
 

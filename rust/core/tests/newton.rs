@@ -13,7 +13,7 @@ use phugoid::internals::diagnosis::information;
 use phugoid::internals::initial::{self, Initial};
 use phugoid::interrupt::{Interrupt, current};
 use phugoid::model::{Model, Parameter};
-use phugoid::nlp::{Named, Nlp, NotFinite, Structure};
+use phugoid::nlp::{ConstraintId, Named, Nlp, NotFinite, Structure, VariableId};
 use phugoid::solver::{Control, Settings as Options, Solution, Status, solve};
 
 fn settings(order: usize) -> Settings {
@@ -26,11 +26,11 @@ fn run(problem: &Collocation, xi: &[f64], options: &Options) -> Solution {
 
 /// Truth in standard errors.
 fn errors(problem: &Collocation, solution: &Solution) -> Vec<f64> {
-    let wanted: Vec<usize> = (0..TRUTH.len()).collect();
+    let wanted: Vec<VariableId> = (0..TRUTH.len()).map(VariableId).collect();
     let found =
         information(problem, &solution.xi, &solution.multipliers, &wanted, &[], &solution.kkt).unwrap();
     let error = |i: usize| (solution.xi[i] - TRUTH[i]) / found.covariance[i * wanted.len() + i].sqrt();
-    wanted.iter().map(|&i| error(i)).collect()
+    wanted.iter().map(|i| error(i.0)).collect()
 }
 
 #[test]
@@ -291,10 +291,10 @@ impl Nlp for Shapeless {
 }
 
 impl Named for Shapeless {
-    fn variable_name(&self, i: usize) -> String {
+    fn variable_name(&self, i: VariableId) -> String {
         self.inner.variable_name(i)
     }
-    fn constraint_name(&self, i: usize) -> String {
+    fn constraint_name(&self, i: ConstraintId) -> String {
         self.inner.constraint_name(i)
     }
     fn explain(&self, xi: &[f64]) -> Option<String> {

@@ -122,8 +122,8 @@ fn kinks_are_smoothed_and_what_that_leaves_in_error_is_told() {
     let runs = [run];
     let fit = Estimation::new(&m, &runs).solve().unwrap();
     let smoothing = fit.smoothing.as_ref().unwrap();
-    assert_eq!(smoothing.widths[0].0, "sign(v) in v'");
-    assert_eq!(smoothing.widths[0].2, "m/s");
+    assert_eq!(smoothing.widths[0].kink, "sign(v) in v'");
+    assert_eq!(smoothing.widths[0].unit, "m/s");
     assert!(fit.message.contains("kinks of the state equations were smoothed"), "{}", fit.message);
     assert!((fit["c"].value - 0.8).abs() < 0.03, "{}", fit["c"].value);
     assert_eq!(fit.model.kinks().len(), 1); // the model as it was given

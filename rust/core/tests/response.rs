@@ -11,11 +11,11 @@ use phugoid::collocation::{Collocation, Settings};
 use phugoid::internals::diagnosis::{Forward, Linearisation, Outputs, Place, Response};
 use phugoid::model::End;
 use phugoid::model::{Model, Parameter};
-use phugoid::nlp::Nlp;
+use phugoid::nlp::{ExperimentId, Nlp, PointId, VariableId};
 
 /// Variables of `pendulum`.
-const K: usize = 0;
-const FORCE: usize = 2;
+const K: VariableId = VariableId(0);
+const FORCE: VariableId = VariableId(2);
 
 /// A damped pendulum on which a force acts that is known along time, with the parameter F as its size: ∂h/∂F is how
 /// the defects answer to slopes of the force's shape.
@@ -56,8 +56,8 @@ fn solved(
         let mut own = theta.to_vec();
         own.extend(first.repeat((problem.n() - theta.len()) / 2));
         solve_defects(&problem, &mut own);
-        for point in &problem.meshes[0].sample_points {
-            states.extend_from_slice(&own[problem.layout.state(*point)..][..2]);
+        for point in &problem.meshes[ExperimentId(0)].sample_points {
+            states.extend_from_slice(&own[problem.layout.states(PointId(*point))]);
         }
         xi.extend_from_slice(&own[theta.len()..]);
     }
@@ -103,15 +103,15 @@ fn forward_it_is_the_path_solved_again() {
     let model = pendulum();
     for (order, grid) in cases() {
         let (problem, xi, slopes) = at_rest(&model, order, &grid);
-        assert_eq!(problem.meshes[0].between.is_empty(), matches!(grid, Grid::Samples(_)));
+        assert_eq!(problem.meshes[ExperimentId(0)].between.is_empty(), matches!(grid, Grid::Samples(_)));
         let forward = Forward::new(&problem, &xi).unwrap().expect("a pendulum that is not unstable");
         let found = &forward.solve(&[&slopes])[0];
         let again = quotient(|force| solved(&model, order, &grid, &[2.0, 0.3, force], &FIRST).0);
         let error = distance(found, &again);
         assert!(error < 1e-9, "order {order}, {grid:?}: off by {error:e}");
 
-        let second = problem.layout.state(problem.layout.first_point[1]);
-        let tangents = forward.tangents(&[FORCE, K, second + 1, problem.layout.state(2)]);
+        let second = problem.layout.state(problem.layout.first_point[ExperimentId(1)]);
+        let tangents = forward.tangents(&[FORCE, K, second + 1, problem.layout.state(PointId(2))]);
         let error = distance(&tangents[0], found);
         assert!(error < 1e-12, "the force as a parameter, order {order}, {grid:?}: off by {error:e}");
         let by_k = quotient(|d| solved(&model, order, &grid, &[2.0 + d, 0.3, 0.0], &FIRST).0);
@@ -160,25 +160,24 @@ fn left(problem: &Collocation, xi: &[f64], d: &[f64], slopes: Option<&[f64]>) ->
 }
 
 fn at_samples(problem: &Collocation, d: &[f64]) -> Vec<f64> {
-    let n = problem.layout.n_x;
     let mut out = d[..problem.layout.n_theta].to_vec();
     for (mesh, first) in problem.meshes.iter().zip(&problem.layout.first_point) {
         for point in &mesh.sample_points {
-            out.extend_from_slice(&d[problem.layout.state(first + point)..][..n]);
+            out.extend_from_slice(&d[problem.layout.states(*first + *point)]);
         }
     }
     out
 }
 
 /// Tangents by all parameters and first states of forward: (variables, samples), an orthogonal basis in columns.
-fn tangents(problem: &Collocation, forward: &Forward<&Collocation>, wanted: &[usize]) -> DMatrix<f64> {
+fn tangents(problem: &Collocation, forward: &Forward<&Collocation>, wanted: &[VariableId]) -> DMatrix<f64> {
     let n_theta = problem.layout.n_theta;
     let columns: Vec<DVector<f64>> = forward
         .tangents(wanted)
         .iter()
         .zip(wanted)
         .map(|(states, &i)| {
-            let theta = (0..n_theta).map(|p| f64::from(p == i));
+            let theta = (0..n_theta).map(|p| f64::from(p == i.0));
             DVector::from_iterator(n_theta + states.len(), theta.chain(states.iter().copied()))
         })
         .collect();
@@ -208,7 +207,8 @@ fn by_the_kkt_system_it_differs_by_tangents_alone() {
         own.extend(&forward.solve(&[&slopes])[0]);
         let difference = DVector::from(at_samples(&problem, &d)) - DVector::from(own);
         let mut wanted = vec![K, K + 1];
-        wanted.extend(layout.first_point[..2].iter().flat_map(|p| [layout.state(*p), layout.state(*p) + 1]));
+        wanted
+            .extend(layout.first_point.iter().take(2).flat_map(|p| [layout.state(*p), layout.state(*p) + 1]));
         let space = tangents(&problem, &forward, &wanted);
         let apart = beside(&space, &difference);
         assert!(difference.norm() > 1e-3 && apart < 1e-10, "order {order}, {grid:?}: apart by {apart:e}");
@@ -216,9 +216,9 @@ fn by_the_kkt_system_it_differs_by_tangents_alone() {
         for i in wanted {
             response.tangent(i, &mut d);
             let rest = left(&problem, &xi, &d, None);
-            assert!(rest < 1e-12, "order {order}, {grid:?}: A d = {rest:e} of a tangent along {i}");
+            assert!(rest < 1e-12, "order {order}, {grid:?}: A d = {rest:e} of a tangent along {i:?}");
             let apart = beside(&space, &DVector::from(at_samples(&problem, &d)));
-            assert!(apart < 1e-10, "order {order}, {grid:?}: the tangent along {i} is apart by {apart:e}");
+            assert!(apart < 1e-10, "order {order}, {grid:?}: the tangent along {i:?} is apart by {apart:e}");
         }
     }
 }
@@ -250,11 +250,11 @@ fn answers_are_outputs_of_the_states() {
         let forward = Forward::new(&problem, &xi).unwrap().unwrap();
         for (signal, column) in signals.chunks(points).zip(columns.chunks(samples - 1)) {
             let meshes = || problem.meshes.iter().zip(&layout.first_point);
-            let at_mesh = meshes().flat_map(|(m, f)| &signal[*f..f + m.n_mesh]);
+            let at_mesh = meshes().flat_map(|(m, f)| &signal[f.0..f.0 + m.n_mesh]);
             let forced: Vec<f64> =
                 at_mesh.zip(slopes.chunks(2)).flat_map(|(s, b)| b.iter().map(move |b| b * s)).collect();
             let states = &forward.solve(&[&forced])[0];
-            let at = meshes().flat_map(|(m, f)| m.sample_points.iter().map(move |p| f + p));
+            let at = meshes().flat_map(|(m, f)| m.sample_points.iter().map(move |p| f.0 + p));
             let mut wanted: Vec<f64> = at
                 .enumerate()
                 .map(|(s, point)| {
@@ -292,11 +292,16 @@ fn by_the_kkt_system_it_is_the_least() {
             })
             .sum()
     };
-    for i in [K, K + 1, problem.layout.state(0), problem.layout.state(problem.meshes[0].n_mesh - 1)] {
+    for i in [
+        K,
+        K + 1,
+        problem.layout.state(PointId(0)),
+        problem.layout.state(PointId(problem.meshes[ExperimentId(0)].n_mesh - 1)),
+    ] {
         response.tangent(i, &mut tangent);
         let size = (product(&d, &d) * product(&tangent, &tangent)).sqrt();
         let cosine = product(&d, &tangent) / size;
-        assert!(size > 0.0 && cosine.abs() < 1e-8, "cosine {cosine:e} with the tangent along {i}");
+        assert!(size > 0.0 && cosine.abs() < 1e-8, "cosine {cosine:e} with the tangent along {i:?}");
     }
 }
 
@@ -319,8 +324,8 @@ fn conditions_on_the_beginning_are_met() {
     let rest = left(&problem, &xi, &d, Some(&slopes));
     assert!(rest < 1e-12, "A d misses -dh/dc by {rest:e}");
     // Both first angles follow k.
-    let first: Vec<usize> =
-        problem.layout.first_point[..2].iter().map(|p| problem.layout.state(*p)).collect();
+    let first: Vec<VariableId> =
+        problem.layout.first_point.iter().take(2).map(|p| problem.layout.state(*p)).collect();
     assert!(d[K].abs() > 1e-6, "the force moves k");
     assert!(first.iter().all(|&i| (d[i] - 0.2 * d[K]).abs() < 1e-12 * d[K].abs().max(1.0)));
     let mut own = vec![0.0; problem.layout.n_theta];
@@ -361,7 +366,8 @@ fn what_is_too_unstable_is_left_to_the_kkt_system() {
         xi.extend((0..(problem.n() - xi.len())).map(|i| 0.5 * (0.37 * i as f64).sin()));
         let forward = Forward::new(&problem, &xi).unwrap();
         assert_eq!(forward.is_some(), stable, "Mw = {mw}");
-        let slopes: Vec<f64> = (0..2 * problem.meshes[0].n_mesh).map(|i| (0.11 * i as f64).cos()).collect();
+        let slopes: Vec<f64> =
+            (0..2 * problem.meshes[ExperimentId(0)].n_mesh).map(|i| (0.11 * i as f64).cos()).collect();
         let mut d = vec![0.0; problem.n()];
         Response::new(&problem, &xi, &[]).unwrap().forced(&slopes, &mut d);
         let rest = left(&problem, &xi, &d, Some(&slopes));
@@ -374,7 +380,7 @@ fn what_is_too_unstable_is_left_to_the_kkt_system() {
 #[test]
 fn what_is_not_finite_is_said() {
     let (problem, mut xi, _) = at_rest(&pendulum(), 4, &Grid::Samples(1));
-    xi[problem.layout.state(3)] = f64::NAN;
+    xi[problem.layout.state(PointId(3))] = f64::NAN;
     assert!(Forward::new(&problem, &xi).is_err());
     assert!(Response::new(&problem, &xi, &[]).is_err());
 }

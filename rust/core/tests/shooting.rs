@@ -9,7 +9,7 @@ use common::models::linear;
 use phugoid::Grid;
 use phugoid::internals::problem::Transcribed;
 use phugoid::interrupt::Interrupt;
-use phugoid::nlp::Nlp;
+use phugoid::nlp::{ExperimentId, Nlp};
 use phugoid::noise::{Noise, Sigma};
 use phugoid::shooting::{Integrator, Steps};
 use phugoid::shooting::{Shooting, Shots};
@@ -48,7 +48,7 @@ fn errors(integrator: Integrator, segments: usize, steps: usize) -> (f64, f64) {
         problem.constraints(&xi, &mut defects).unwrap();
         xi[2..].iter_mut().zip(&defects).for_each(|(x, d)| *x -= d);
     }
-    let found = &problem.states_at_samples(&xi, 0)[0];
+    let found = &problem.states_at_samples(&xi, ExperimentId(0))[0];
     let error: Vec<f64> = found.iter().zip(&x).map(|(a, b)| (a - b).abs()).collect();
     let (end, within) = error.split_last().unwrap();
     (within.iter().copied().fold(0.0, f64::max), *end)
@@ -205,8 +205,8 @@ fn the_path_passes_through_the_states_at_the_samples() {
         let problem = Shooting::new(&model, std::slice::from_ref(&run), noise, &settings).unwrap();
         let mut xi = vec![-2.0];
         xi.resize(problem.n(), 1.0);
-        let (times, path) = problem.path(&xi, 0);
-        let states = problem.states_at_samples(&xi, 0);
+        let (times, path) = problem.path(&xi, ExperimentId(0));
+        let states = problem.states_at_samples(&xi, ExperimentId(0));
         for (sample, time) in t.iter().enumerate() {
             let at = times.iter().position(|s| (s - time).abs() < 1e-12).unwrap();
             assert!((path[0][at] - states[0][sample]).abs() < 1e-12, "{time} s");

@@ -8,8 +8,8 @@ use common::Random;
 use common::models::{linear, mixed_noise, nonlinear, record, scalar};
 use phugoid::Grid;
 use phugoid::model::Model;
-use phugoid::nlp::Nlp;
 use phugoid::nlp::check::check_derivatives;
+use phugoid::nlp::{ExperimentId, Nlp, VariableId};
 use phugoid::shooting::{Integrator, Steps};
 use phugoid::shooting::{Shooting, Shots};
 
@@ -28,9 +28,9 @@ fn problem(model: &Model, lengths: &[usize], settings: &Shots) -> Shooting {
 /// Parameters at their starts, states random about 0.8 or so.
 fn guess(problem: &Shooting, seed: u64) -> Vec<f64> {
     let mut random = Random(seed);
-    let start = |i: usize| problem.posed.estimands.transforms[i].inverse(problem.posed.parameters[i].start);
-    let mut xi: Vec<f64> = (0..problem.posed.n_model_parameters).map(start).collect();
-    xi.extend(problem.posed.parameters[problem.posed.n_model_parameters..].iter().map(|p| p.start));
+    let start = |i| problem.posed.estimands.transforms[i].inverse(problem.posed.parameters[i].start);
+    let mut xi: Vec<f64> = (0..problem.posed.n_model_parameters).map(VariableId).map(start).collect();
+    xi.extend(problem.posed.parameters.iter().skip(problem.posed.n_model_parameters).map(|p| p.start));
     xi.resize_with(problem.n(), || random.between(0.5, 1.1));
     xi
 }
@@ -39,7 +39,7 @@ fn guess(problem: &Shooting, seed: u64) -> Vec<f64> {
 fn check(problem: &Shooting, what: &str) {
     let mut random = Random(3);
     let lambda: Vec<f64> = (0..problem.m()).map(|_| random.between(-1.0, 1.0)).collect();
-    let all: Vec<usize> = (0..problem.n()).collect();
+    let all: Vec<VariableId> = (0..problem.n()).map(VariableId).collect();
     let wrong = check_derivatives(problem, &guess(problem, 4), &lambda, &all, TOLERANCE).unwrap();
     assert!(wrong.is_empty(), "{what}: {} wrong, first {:#?}", wrong.len(), &wrong[..wrong.len().min(4)]);
 
@@ -115,7 +115,8 @@ fn gauss_newton_is_exact_without_residuals() {
         let mut records = [record(&model, "run", 9, false, 10)];
         let problem = build(&records);
         let xi = guess(&problem, 4);
-        records[0].outputs = phugoid::internals::problem::Transcribed::outputs_at_samples(&problem, &xi, 0);
+        records[0].outputs =
+            phugoid::internals::problem::Transcribed::outputs_at_samples(&problem, &xi, ExperimentId(0));
         let problem = build(&records);
         let size = problem.hessian_structure().len();
         let (mut exact, mut approximate) = (vec![0.0; size], vec![f64::NAN; size]);

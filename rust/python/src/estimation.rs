@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use numpy::{PyArray1, PyReadonlyArray1};
 use phugoid::Estimation;
+use phugoid::collocation;
 use phugoid::estimate::{Beginning, Earlier, Multipliers, Path, Problem, Solver};
 use phugoid::interrupt::{Interrupt, current};
 use phugoid::nlp::NotFinite;
@@ -200,9 +201,18 @@ pub fn estimate(
     let runs: Vec<_> = records.into_iter().map(experiment).collect::<PyResult<_>>()?;
     let outputs: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
     let noise = NoiseModel::from_json(&options.noise, &outputs).map_err(raise)?;
+    let grid = grids(options.grids)?;
+    let transcription: phugoid::estimate::Transcription = match &options.shooting {
+        None => collocation::Settings::default().order(options.order).grid(grid).into(),
+        Some((integrator, steps)) => {
+            let unknown = || PyValueError::new_err("unknown integrator");
+            let integrator = Integrator::from_name(integrator).ok_or_else(unknown)?;
+            Shots::default().grid(grid).integrator(integrator).steps(core_steps(steps)?).into()
+        }
+    };
     let mut estimation = Estimation::new(&model, &runs)
-        .order(options.order)
-        .grids(grids(options.grids.clone())?)
+        .transcription(transcription)
+        .threads(options.threads)
         .noise_model(noise)
         .other_ways(options.other_ways)
         .smooth_kinks(options.smooth_kinks);
@@ -224,16 +234,6 @@ pub fn estimate(
     if let Some(restarts) = options.restarts {
         estimation = estimation.restarts(restarts);
     }
-    if let Some((integrator, spec)) = &options.shooting {
-        let unknown = || PyValueError::new_err("unknown integrator");
-        let integrator = Integrator::from_name(integrator).ok_or_else(unknown)?;
-        let grid = grids(options.grids)?;
-        let steps = core_steps(spec)?;
-        estimation = estimation
-            .grid(phugoid::Grid::Samples(1))
-            .shooting(Shots::default().grid(grid).integrator(integrator).steps(steps));
-    }
-    estimation = estimation.threads(options.threads);
     for (name, start) in starts(options.start) {
         estimation = estimation.start(&name, start);
     }

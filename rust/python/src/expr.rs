@@ -403,17 +403,6 @@ pub fn load_expression(text: &str) -> PyResult<PyExpr> {
     exprs.into_iter().next().map(PyExpr).ok_or_else(|| PyValueError::new_err("no expression"))
 }
 
-/// Nodes, weights and integration matrix C[j,k] (flat, m × (m − 1)) of the Lobatto rule of an order.
-#[pyfunction]
-pub fn lgl(order: usize) -> PyResult<(Vec<f64>, Vec<f64>, Vec<f64>)> {
-    if order < 2 {
-        return Err(PyValueError::new_err("a Lobatto rule has at least 2 points"));
-    }
-    let rule = phugoid::internals::lgl::Lgl::new(order);
-    let c = rule.integration_matrix();
-    Ok((rule.nodes, rule.weights, c))
-}
-
 /// An interpolation table with smooth derivatives, to be called on expressions.
 #[pyclass(name = "Table", module = "phugoid._core", frozen)]
 pub struct PyTable(Arc<Table>);

@@ -2,7 +2,8 @@
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use phugoid::estimate::{
-    Bound as Limit, CollocatedPath, Estimate, Fit, RefinementStep, SmoothingStep, Transcription,
+    Bound as Limit, CollocatedPath, Estimate, Fit, KinkWidth, LeftInError, RefinementStep, SmoothingStep,
+    Transcription,
 };
 use phugoid::model::{Delays, Model};
 use phugoid::noise::NoiseModel;
@@ -168,7 +169,10 @@ impl PyFit {
     ) -> Option<(Vec<(String, f64, String)>, Vec<(f64, usize, usize, f64)>, Vec<(String, f64, f64)>)> {
         let s = self.0.smoothing.as_ref()?;
         let step = |s: &SmoothingStep| (s.part, s.segments, s.iterations, s.log_likelihood);
-        Some((s.widths.clone(), s.steps.iter().map(step).collect(), s.left.clone()))
+        let width = |w: &KinkWidth| (w.kink.clone(), w.width, w.unit.clone());
+        let left = |l: &LeftInError| (l.name.clone(), l.change, l.std_error);
+        let widths = s.widths.iter().map(width).collect();
+        Some((widths, s.steps.iter().map(step).collect(), s.left.iter().map(left).collect()))
     }
 
     /// Ends of the segments in each experiment, where they were given so.

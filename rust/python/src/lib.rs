@@ -50,7 +50,6 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(expr::apply, m)?)?;
     m.add_function(wrap_pyfunction!(expr::operations, m)?)?;
     m.add_function(wrap_pyfunction!(expr::load_expression, m)?)?;
-    m.add_function(wrap_pyfunction!(expr::lgl, m)?)?;
     m.add_function(wrap_pyfunction!(expr::interpolate, m)?)?;
     m.add_function(wrap_pyfunction!(problem::gaps, m)?)?;
     m.add_function(wrap_pyfunction!(problem::gap_warnings, m)?)?;

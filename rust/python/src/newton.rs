@@ -6,6 +6,7 @@ use phugoid::internals::initial::{Initial, solve};
 use phugoid::internals::problem::Transcribed;
 use phugoid::interrupt::Interrupt;
 use phugoid::linalg::{KktChoice, KktError};
+use phugoid::nlp::VariableId;
 use phugoid::solver::{Control, Iteration, Settings, Solution};
 use pyo3::exceptions::{PyTimeoutError, PyValueError};
 use pyo3::prelude::*;
@@ -131,6 +132,8 @@ pub fn information<'py>(
     if let Some(i) = wanted.iter().chain(&held).find(|&&i| i >= nlp.n()) {
         return Err(PyValueError::new_err(format!("there is no unknown {i} among {}", nlp.n())));
     }
+    let variables = |of: Vec<usize>| of.into_iter().map(VariableId).collect::<Vec<_>>();
+    let (wanted, held) = (variables(wanted), variables(held));
     let limit = seconds(time_limit);
     let work = || {
         Interrupt::within(limit)
@@ -159,7 +162,8 @@ pub fn information<'py>(
         }
     };
     let covariance = PyArray1::from_vec(py, found.covariance).reshape([wanted.len(), wanted.len()])?;
-    Ok((covariance, PyArray1::from_vec(py, found.step), found.undetermined, found.saddle))
+    let groups = found.undetermined.into_iter().map(|group| group.into_iter().map(|i| i.0).collect());
+    Ok((covariance, PyArray1::from_vec(py, found.step), groups.collect(), found.saddle))
 }
 
 /// Minimises from xi without the interpreter lock. `watch` is called with each line of the table, `stop` is asked now and

@@ -8,9 +8,10 @@ use phugoid::Interpolation;
 use phugoid::collocation::Collocation;
 use phugoid::internals::diagnosis::Linearisation;
 use phugoid::internals::problem::{Posed, Transcribed};
-use phugoid::nlp::{NotFinite, Structure, check::check_derivatives};
+use phugoid::nlp::check::check_derivatives;
+use phugoid::nlp::{ConstraintId, ExperimentId, NotFinite, Structure, VariableId};
 use phugoid::shooting::Shooting;
-use phugoid::{Experiment, Signal};
+use phugoid::{Experiment, Parameter, Signal};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -143,6 +144,10 @@ impl PyProblem {
         self.inner().posed()
     }
 
+    fn of_noise(&self) -> impl Iterator<Item = &Parameter> {
+        self.posed().parameters.iter().skip(self.posed().n_model_parameters)
+    }
+
     fn slice<'a>(&self, x: &'a PyReadonlyArray1<'_, f64>, n: usize, what: &str) -> PyResult<&'a [f64]> {
         let x = x.as_slice().map_err(|_| PyValueError::new_err(format!("{what} must be contiguous")))?;
         if x.len() != n {
@@ -195,13 +200,13 @@ impl PyProblem {
     /// For each boundary condition, which follow all other constraints, the state in whose unit it is.
     #[getter]
     fn boundary_states(&self) -> Vec<usize> {
-        self.inner().boundary_states()
+        self.inner().boundary_states().into_iter().map(|s| s.0).collect()
     }
 
     /// First point of each experiment, and the total.
     #[getter]
     fn first_point(&self) -> Vec<usize> {
-        self.inner().layout().first_point.clone()
+        self.inner().layout().first_point.iter().map(|p| p.0).collect()
     }
 
     /// For each variable that is a parameter of the model: its name, the parameter's place in the model, and the
@@ -209,9 +214,10 @@ impl PyProblem {
     #[getter]
     fn estimands(&self) -> Vec<(String, usize, Option<usize>)> {
         let all = &self.posed().estimands;
-        (0..self.posed().n_model_parameters)
-            .map(|i| (self.posed().parameters[i].name.clone(), all.parameter[i], all.experiment[i]))
-            .collect()
+        let of_model = self.posed().parameters.numbered().take(self.posed().n_model_parameters);
+        let one =
+            |(i, p): (_, &Parameter)| (p.name.clone(), all.parameter[i].0, all.experiment[i].map(|e| e.0));
+        of_model.map(one).collect()
     }
 
     /// The variables of parameters with these values, in the order of `estimands`.
@@ -228,27 +234,22 @@ impl PyProblem {
             .collect()
     }
 
-    /// What priors add to the objective.
-    fn prior_terms(&self, xi: PyReadonlyArray1<'_, f64>) -> PyResult<f64> {
-        Ok(self.posed().prior_terms(self.slice(&xi, self.inner().n(), "xi")?))
-    }
-
     /// Names of the noise parameters.
     #[getter]
     fn noise_parameters(&self) -> Vec<String> {
-        self.posed().parameters[self.posed().n_model_parameters..].iter().map(|p| p.name.clone()).collect()
+        self.of_noise().map(|p| p.name.clone()).collect()
     }
 
     /// Where the noise parameters start.
     #[getter]
     fn noise_start(&self) -> Vec<f64> {
-        self.posed().parameters[self.posed().n_model_parameters..].iter().map(|p| p.start).collect()
+        self.of_noise().map(|p| p.start).collect()
     }
 
     /// Variables that are 1/sigma of an output, given others where noise is correlated.
     #[getter]
     fn precision_roots(&self) -> Vec<usize> {
-        self.posed().precision_roots()
+        self.posed().precision_roots().into_iter().map(|i| i.0).collect()
     }
 
     /// Scales of all outputs.
@@ -269,18 +270,20 @@ impl PyProblem {
 
     /// Inputs at the points of an experiment, `[input][point]`; none unless by collocation.
     fn point_inputs<'py>(&self, py: Python<'py>, experiment: usize) -> Vec<Array<'py>> {
-        let inputs = self.collocation().map(|(c, _)| c.inputs[experiment].clone());
+        let inputs = self.collocation().map(|(c, _)| c.inputs[ExperimentId(experiment)].clone());
         arrays(py, inputs.unwrap_or_default())
     }
 
     /// Place among the points of an experiment of each of its samples; none unless by collocation.
     fn sample_points(&self, experiment: usize) -> Vec<usize> {
-        self.collocation().map(|(c, _)| c.meshes[experiment].sample_points.clone()).unwrap_or_default()
+        self.collocation()
+            .map(|(c, _)| c.meshes[ExperimentId(experiment)].sample_points.clone())
+            .unwrap_or_default()
     }
 
     /// Times of the points of an experiment whose states are variables.
     fn point_times<'py>(&self, py: Python<'py>, experiment: usize) -> Array<'py> {
-        PyArray1::from_slice(py, self.inner().point_times(experiment))
+        PyArray1::from_slice(py, self.inner().point_times(ExperimentId(experiment)))
     }
 
     /// Times of the mesh on which the equations of an experiment are solved, and the states there, one array a state.
@@ -291,7 +294,7 @@ impl PyProblem {
         experiment: usize,
     ) -> PyResult<(Array<'py>, Vec<Array<'py>>)> {
         let xi = self.slice(&xi, self.inner().n(), "xi")?;
-        let (times, states) = py.detach(|| self.inner().path(xi, experiment));
+        let (times, states) = py.detach(|| self.inner().path(xi, ExperimentId(experiment)));
         Ok((PyArray1::from_vec(py, times), arrays(py, states)))
     }
 
@@ -303,7 +306,7 @@ impl PyProblem {
         experiment: usize,
     ) -> PyResult<Vec<Array<'py>>> {
         let xi = self.slice(&xi, self.inner().n(), "xi")?;
-        Ok(arrays(py, py.detach(|| self.inner().states_at_samples(xi, experiment))))
+        Ok(arrays(py, py.detach(|| self.inner().states_at_samples(xi, ExperimentId(experiment)))))
     }
 
     fn bounds<'py>(&self, py: Python<'py>) -> (Array<'py>, Array<'py>) {
@@ -375,15 +378,15 @@ impl PyProblem {
         experiment: usize,
     ) -> PyResult<Vec<Array<'py>>> {
         let xi = self.slice(&xi, self.inner().n(), "xi")?;
-        Ok(arrays(py, py.detach(|| self.inner().outputs_at_samples(xi, experiment))))
+        Ok(arrays(py, py.detach(|| self.inner().outputs_at_samples(xi, ExperimentId(experiment)))))
     }
 
     fn variable_name(&self, i: usize) -> String {
-        self.inner().variable_name(i)
+        self.inner().variable_name(VariableId(i))
     }
 
     fn constraint_name(&self, i: usize) -> String {
-        self.inner().constraint_name(i)
+        self.inner().constraint_name(ConstraintId(i))
     }
 
     /// What is not finite at xi, where and from what.
@@ -402,6 +405,7 @@ impl PyProblem {
     ) -> PyResult<Vec<(String, f64, f64)>> {
         let xi = self.slice(&xi, self.inner().n(), "xi")?;
         let lambda = self.slice(&multipliers, self.inner().m(), "the multipliers")?;
+        let columns: Vec<VariableId> = columns.into_iter().map(VariableId).collect();
         let wrong = check_derivatives(self.inner(), xi, lambda, &columns, tolerance)
             .map_err(|_| named("EvaluationError", self.inner().explain(xi).unwrap_or_default()))?;
         Ok(wrong.into_iter().map(|w| (w.entry, w.computed, w.difference)).collect())

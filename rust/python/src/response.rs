@@ -5,7 +5,7 @@ use std::sync::Arc;
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use phugoid::collocation::Collocation;
 use phugoid::internals::diagnosis::{Linearisation, Outputs, Place};
-use phugoid::nlp::Nlp;
+use phugoid::nlp::{Nlp, VariableId};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -28,11 +28,15 @@ fn collocation<'a>(problem: &'a PyProblem, xi: &[f64]) -> PyResult<(&'a Arc<Coll
     Ok(found)
 }
 
+fn numbers(variables: Vec<usize>) -> Vec<VariableId> {
+    variables.into_iter().map(VariableId).collect()
+}
+
 /// Asks the linearisation about ξ: the one that is kept, or a new one, which is kept then.
 fn ask<R>(
     (problem, kept): (&Arc<Collocation>, &Kept),
     xi: &[f64],
-    held: &[usize],
+    held: &[VariableId],
     question: impl FnOnce(&mut Linearisation<Arc<Collocation>>) -> R,
 ) -> R {
     let new = || Linearisation::new(problem.clone(), xi, held);
@@ -64,6 +68,7 @@ pub fn tangents<'py>(
     let layout = &of.0.layout;
     let samples: usize = of.0.meshes.iter().map(|m| m.sample_points.len()).sum();
     let width = layout.n_theta + layout.n_x * samples;
+    let (held, variables) = (numbers(held), numbers(variables));
     let found = interruptible(py, Some(&stop), || ask(of, xi, &held, |l| l.tangents(&variables)).ok())?;
     let rows = variables.len();
     found.map(|(out, forward)| Ok((PyArray1::from_vec(py, out).reshape([rows, width])?, forward))).transpose()
@@ -119,6 +124,7 @@ pub fn answers<'py>(
         Outputs { by_state: by_state.as_slice()?, by_parameter: by_parameter.as_slice()?, rows, n_y };
     let place = Place { slopes: slopes.as_slice()?, outputs: direct.as_slice()? };
     let signals = signals.as_slice()?;
+    let held = numbers(held);
     let answered = || ask(of, xi, &held, |l| l.answers(&outputs, &place, signals));
     let found = interruptible(py, Some(&stop), answered)?;
     let Ok((columns, parameters)) = found else { return Ok(None) };

@@ -10,13 +10,14 @@
 
 use std::sync::Arc;
 
+use crate::index::{ExperimentId, PointId};
 use crate::mesh::{Between, Mesh, Rule};
 use crate::problem::layout::Layout;
 use crate::tape::{BLOCK, LANE_MULTIPLE};
 
 #[derive(Clone, Debug)]
 pub(super) struct Chunk {
-    pub(super) experiment: usize,
+    pub(super) experiment: ExperimentId,
     pub(super) rule: Arc<Rule>,
     /// Lengths of the S segments, s.
     pub(super) h: Vec<f64>,
@@ -51,7 +52,7 @@ pub(super) struct Tie {
     pub(super) node: usize,
     pub(super) weights: Vec<f64>,
     /// The sample's point, counted over all experiments.
-    pub(super) point: usize,
+    pub(super) point: PointId,
     pub(super) row: usize,
 }
 
@@ -64,7 +65,7 @@ pub fn segments_in_chunk(order: usize) -> usize {
 
 impl Chunk {
     /// Cuts the mesh of an experiment into chunks. `data` and the first entries are filled later.
-    pub(super) fn cut(experiment: usize, mesh: &Mesh, layout: &Layout) -> Vec<Chunk> {
+    pub(super) fn cut(experiment: ExperimentId, mesh: &Mesh, layout: &Layout) -> Vec<Chunk> {
         let (k, jumps) = (mesh.rule.order() - 1, mesh.jumps);
         let size = segments_in_chunk(mesh.rule.order() + usize::from(jumps));
         let (point0, row0) = (layout.first_point[experiment], layout.first_row(experiment));
@@ -92,7 +93,7 @@ impl Chunk {
                 for s in 0..n + usize::from(!jumps) {
                     // Only node 0 has an (S+1)-th place: the end point.
                     let s = if j == 0 { s } else { s.min(n - 1) };
-                    chunk.points.push((point0 + segments[0].point + s * k + j) as u32);
+                    chunk.points.push((point0 + segments[0].point + s * k + j).0 as u32);
                 }
             }
             let spare = *chunk.points.last().unwrap();
@@ -159,7 +160,7 @@ impl Chunk {
 
 /// The vector constraint of the sample at point p of its experiment is number p − 1 within it, as
 /// for mesh points.
-fn tied(b: &Between, first_segment: usize, point0: usize, row0: usize) -> Tie {
+fn tied(b: &Between, first_segment: usize, point0: PointId, row0: usize) -> Tie {
     Tie {
         segment: b.segment - first_segment,
         node: b.node,

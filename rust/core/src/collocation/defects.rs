@@ -6,7 +6,9 @@
 use std::sync::Arc;
 
 use super::chunk::{Chunk, Tie};
+use crate::index::{ParameterId, PointId};
 use crate::nlp::Part;
+use crate::problem::ParameterMap;
 use crate::problem::disjoint::Disjoint;
 use crate::problem::layout::Layout;
 use crate::simd::kernel;
@@ -28,7 +30,7 @@ struct StateEntry {
 #[derive(Clone, Copy, Debug)]
 struct ParameterEntry {
     row: usize,
-    parameter: usize,
+    parameter: ParameterId,
     entry: usize,
 }
 
@@ -63,7 +65,11 @@ impl Dynamics {
                     has_diagonal |= c == r;
                     state_entries.push(StateEntry { row: r, column: c, entry: Some(k) });
                 } else {
-                    parameter_entries.push(ParameterEntry { row: r, parameter: c - n_x, entry: k });
+                    parameter_entries.push(ParameterEntry {
+                        row: r,
+                        parameter: ParameterId(c - n_x),
+                        entry: k,
+                    });
                 }
             }
             if !has_diagonal {
@@ -78,7 +84,7 @@ impl Dynamics {
         &self,
         chunk: &Chunk,
         layout: &Layout,
-        map: &[usize],
+        map: &ParameterMap,
         out: &mut Part<'_>,
     ) {
         let (m, n) = (chunk.rule.order(), chunk.segments());
@@ -87,26 +93,26 @@ impl Dynamics {
             for &StateEntry { row: r, column: c, entry } in &self.state_entries {
                 for j in nodes_of(entry, k, m) {
                     for s in 0..n {
-                        let point = chunk.points[chunk.lane(j) + s] as usize;
-                        out.push(row(s, r), layout.state(point) + c);
+                        let point = PointId(chunk.points[chunk.lane(j) + s] as usize);
+                        out.push(row(s, r), (layout.state(point) + c).0);
                     }
                 }
             }
             for &ParameterEntry { row: r, parameter: p, .. } in &self.parameter_entries {
-                (0..n).for_each(|s| out.push(row(s, r), map[p]));
+                (0..n).for_each(|s| out.push(row(s, r), map[p].0));
             }
         }
         for tie in &chunk.between {
-            let point = |j: usize| chunk.points[chunk.lane(j) + tie.segment] as usize;
+            let point = |j: usize| PointId(chunk.points[chunk.lane(j) + tie.segment] as usize);
             let row = |r: usize| tie.row * layout.n_x + r;
-            (0..layout.n_x).for_each(|r| out.push(row(r), layout.state(tie.point) + r));
+            (0..layout.n_x).for_each(|r| out.push(row(r), (layout.state(tie.point) + r).0));
             for &StateEntry { row: r, column: c, entry } in &self.state_entries {
                 for j in tie.nodes_of(entry, m) {
-                    out.push(row(r), layout.state(point(j)) + c);
+                    out.push(row(r), (layout.state(point(j)) + c).0);
                 }
             }
             for &ParameterEntry { row: r, parameter: p, .. } in &self.parameter_entries {
-                out.push(row(r), map[p]);
+                out.push(row(r), map[p].0);
             }
         }
     }
@@ -135,23 +141,24 @@ impl Dynamics {
         &self,
         chunk: &Chunk,
         layout: &Layout,
-        map: &[usize],
+        map: &ParameterMap,
         out: &mut Part<'_>,
     ) {
         let n_x = self.f.n_states;
         for (a, b) in self.f.hessian_pattern.iter().filter(|(_, c)| *c < n_x) {
             for lane in chunk.own().flatten() {
-                let x = layout.state(chunk.points[lane] as usize);
+                let x = layout.state(PointId(chunk.points[lane] as usize)).0;
                 // θ comes before x, so an entry between them has the state for its row.
-                if a < n_x { out.push(x + a, x + b) } else { out.push(x + b, map[a - n_x]) }
+                if a < n_x { out.push(x + a, x + b) } else { out.push(x + b, map[ParameterId(a - n_x)].0) }
             }
         }
     }
 
     /// Pairs of parameters between which f has second derivatives, row ≥ column.
-    pub(super) fn parameter_pairs(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+    pub(super) fn parameter_pairs(&self) -> impl Iterator<Item = (ParameterId, ParameterId)> + '_ {
         let n_x = self.f.n_states;
-        self.f.hessian_pattern.iter().filter(move |(_, c)| *c >= n_x).map(move |(r, c)| (r - n_x, c - n_x))
+        let pairs = self.f.hessian_pattern.iter().filter(move |(_, c)| *c >= n_x);
+        pairs.map(move |(r, c)| (ParameterId(r - n_x), ParameterId(c - n_x)))
     }
 }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::Collocation;
 use crate::expr::graph::Id;
+use crate::index::{ExperimentId, VariableId};
 use crate::nlp::{Named, Nlp};
 use crate::problem::explain::UNDERFLOW;
 use crate::tape::{Function, trace};
@@ -12,7 +13,7 @@ use crate::tape::{Function, trace};
 impl Collocation {
     /// The sub-expression that is not finite at ξ, its arguments, and the experiment, time and inputs;
     /// `None` when everything is finite.
-    pub(super) fn why_not_finite(&self, xi: &[f64]) -> Option<String> {
+    pub(super) fn explained(&self, xi: &[f64]) -> Option<String> {
         self.explain_variables(xi)
             .or_else(|| self.posed.explain_noise(xi))
             .or_else(|| self.explain_dynamics(xi))
@@ -22,21 +23,26 @@ impl Collocation {
     }
 
     /// Values of all symbols at a point, with these inputs.
-    fn symbols_at(&self, xi: &[f64], e: usize, point: usize, inputs: &[f64]) -> HashMap<Arc<str>, f64> {
-        let x = self.layout.state(self.layout.first_point[e] + point);
-        let inputs = inputs.iter().copied();
-        self.posed.symbols(xi, e, self.meshes[e].times[point], inputs, &xi[x..x + self.layout.n_x])
+    fn symbols_at(
+        &self,
+        xi: &[f64],
+        e: ExperimentId,
+        point: usize,
+        inputs: &[f64],
+    ) -> HashMap<Arc<str>, f64> {
+        let states = &xi[self.layout.states(self.layout.first_point[e] + point)];
+        self.posed.symbols(xi, e, self.meshes[e].times[point], inputs.iter().copied(), states)
     }
 
     /// Points of an experiment at which f is evaluated, with the inputs there: one where two segments meet has two
     /// values of an input that jumps.
-    fn evaluated(&self, e: usize) -> Vec<(usize, Vec<f64>)> {
+    fn evaluated(&self, e: ExperimentId) -> Vec<(usize, Vec<f64>)> {
         let first = self.layout.first_point[e];
         let mut found = Vec::new();
         for chunk in self.chunks_of(e) {
             for lane in chunk.own().flatten() {
                 let inputs = chunk.data.chunks_exact(chunk.lanes()).skip(1).map(|column| column[lane]);
-                found.push((chunk.points[lane] as usize - first, inputs.collect()));
+                found.push((chunk.points[lane] as usize - first.0, inputs.collect()));
             }
         }
         found.sort_by_key(|(point, _)| *point);
@@ -44,7 +50,7 @@ impl Collocation {
     }
 
     /// Points of the samples of an experiment, with the inputs there.
-    fn sampled(&self, e: usize) -> Vec<(usize, Vec<f64>)> {
+    fn sampled(&self, e: ExperimentId) -> Vec<(usize, Vec<f64>)> {
         let columns = self.posed.sample_columns(e);
         let inputs = |k: usize| columns[1..].iter().take(self.inputs[e].len()).map(move |c| c[k]).collect();
         self.meshes[e].sample_points.iter().enumerate().map(|(k, &point)| (point, inputs(k))).collect()
@@ -52,12 +58,12 @@ impl Collocation {
 
     fn explain_variables(&self, xi: &[f64]) -> Option<String> {
         let i = xi.iter().position(|v| !v.is_finite())?;
-        Some(format!("{} is {}", self.variable_name(i), xi[i]))
+        Some(format!("{} is {}", self.variable_name(VariableId(i)), xi[i]))
     }
 
     fn explain_dynamics(&self, xi: &[f64]) -> Option<String> {
         let f = &self.posed.f;
-        for (e, mesh) in self.meshes.iter().enumerate() {
+        for (e, mesh) in self.meshes.numbered() {
             for (point, inputs) in self.evaluated(e) {
                 let (t, names) = (mesh.times[point], self.symbols_at(xi, e, point, &inputs));
                 for (root, state) in f.roots.iter().zip(&self.posed.state_names) {
@@ -72,7 +78,7 @@ impl Collocation {
     }
 
     fn explain_outputs(&self, xi: &[f64]) -> Option<String> {
-        for (e, experiment) in self.posed.experiments.iter().enumerate() {
+        for (e, experiment) in self.posed.experiments.numbered() {
             for (k, ((point, inputs), &t)) in self.sampled(e).into_iter().zip(&experiment.t).enumerate() {
                 let names = self.symbols_at(xi, e, point, &inputs);
                 // What an output is where nothing was measured does not matter.
@@ -117,7 +123,7 @@ impl Collocation {
             }
             let ids: Vec<Id> = entries.iter().map(|e| e.1).collect();
             let function = Function { graph: Arc::new(graph), ..function.clone() };
-            for (e, mesh) in self.meshes.iter().enumerate() {
+            for (e, mesh) in self.meshes.numbered() {
                 // f is evaluated at mesh points, g at samples.
                 for (point, inputs) in if is_output { self.sampled(e) } else { self.evaluated(e) } {
                     let values = self.symbols_at(xi, e, point, &inputs);

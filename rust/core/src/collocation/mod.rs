@@ -11,13 +11,14 @@ use std::sync::OnceLock;
 use crate::condition::End;
 use crate::error::Error;
 use crate::experiment::Experiment;
+use crate::index::{ConstraintId, ExperimentId, IndexVec, VariableId};
 use crate::mesh::{Grid, Mesh};
 use crate::model::Model;
 use crate::nlp::{Chains, NotFinite, Structure};
 use crate::noise::Noise;
 use crate::problem::boundary::{Boundary, Places};
 use crate::problem::layout::Layout;
-use crate::problem::objective::Objective;
+use crate::problem::objective::{Objective, place_pair};
 use crate::problem::posed::{OfExperiment, Posed};
 use crate::setters::setters;
 use crate::tape::Pairs;
@@ -89,10 +90,10 @@ pub struct Collocation {
     /// The places of variables and constraints.
     pub layout: Layout,
     /// One mesh an experiment.
-    pub meshes: Vec<Mesh>,
+    pub meshes: IndexVec<ExperimentId, Mesh>,
     /// Inputs at all points of each experiment: `inputs[experiment][channel][point]`. Where an input jumps between
     /// two segments, it is the mean of both sides.
-    pub inputs: Vec<Vec<Vec<f64>>>,
+    pub inputs: IndexVec<ExperimentId, Vec<Vec<f64>>>,
     dynamics: Dynamics,
     chunks: Vec<Chunk>,
     objective: Objective,
@@ -101,13 +102,14 @@ pub struct Collocation {
     hessian_structure: Structure,
     /// Places of the Hessian entries between parameters for each pair of f: one list an experiment; a single one
     /// where they do not differ. They are the last entries, from the first.
-    pairs: (usize, Vec<Vec<usize>>),
+    pairs: IndexVec<ExperimentId, Vec<usize>>,
+    first_pair: usize,
     chains: Chains,
     pub(super) boundary: Option<Boundary>,
 }
 
 impl OfExperiment for Chunk {
-    fn experiment(&self) -> usize {
+    fn experiment(&self) -> ExperimentId {
         self.experiment
     }
 }
@@ -135,18 +137,19 @@ impl Collocation {
         let layout = Layout::new(posed.parameters.len(), model.states.len(), &meshes);
         let ends = |mesh: &Mesh| (mesh.n_mesh - 1, [mesh.times[0], mesh.times[mesh.n_mesh - 1]]);
         let ends: Vec<_> = meshes.iter().map(ends).collect();
-        let boundary = Boundary::new(model, written, experiments, &ends, layout.m())?;
+        let boundary = Boundary::new(model, written, experiments, &ends, ConstraintId(layout.m()))?;
         let mut problem = Collocation {
             layout,
             meshes,
-            inputs: Vec::new(),
+            inputs: IndexVec::default(),
             dynamics: Dynamics::new(posed.f.clone()),
             posed,
             chunks: Vec::new(),
             objective: Objective::default(),
             jacobian_structure: OnceLock::new(),
             hessian_structure: Structure::default(),
-            pairs: (0, Vec::new()),
+            pairs: IndexVec::default(),
+            first_pair: 0,
             chains: Chains::default(),
             boundary,
         };
@@ -155,7 +158,7 @@ impl Collocation {
         problem.chains = problem.layout.chains(&problem.meshes);
         if let Some(boundary) = &problem.boundary {
             for (e, chain) in problem.chains.chains.iter_mut().enumerate() {
-                chain.boundary = boundary.of_chain(e);
+                chain.boundary = boundary.of_chain(ExperimentId(e));
             }
         }
         Ok(problem)
@@ -163,7 +166,7 @@ impl Collocation {
 
     /// Fills chunks and blocks of samples with data in the order of their lanes.
     fn place_data(&mut self) {
-        for (e, (experiment, mesh)) in self.posed.experiments.iter().zip(&self.meshes).enumerate() {
+        for ((e, experiment), mesh) in self.posed.experiments.numbered().zip(&self.meshes) {
             let channels = || 0..experiment.inputs.len();
             let mut inputs: Vec<Vec<f64>> = channels().map(|c| experiment.input(c, &mesh.times)).collect();
             let held: Vec<Option<Vec<f64>>> = channels().map(|c| held_values(experiment, c, mesh)).collect();
@@ -176,7 +179,7 @@ impl Collocation {
             let firsts: Vec<usize> = firsts.collect();
             let fill = |(chunk, &segment): (&mut Chunk, &usize)| {
                 let at_points = |column: &[f64]| {
-                    chunk.points.iter().map(|&p| column[p as usize - first]).collect::<Vec<_>>()
+                    chunk.points.iter().map(|&p| column[p as usize - first.0]).collect::<Vec<_>>()
                 };
                 let mut data = at_points(&mesh.times);
                 for (column, held) in inputs.iter().zip(&held) {
@@ -218,19 +221,18 @@ impl Collocation {
             first += entries[i];
         }
         self.objective.place(&self.posed, &self.layout, &mut self.hessian_structure);
-        let mut places: BTreeMap<(usize, usize), usize> = BTreeMap::new();
-        self.pairs.0 = self.hessian_structure.len();
+        let mut places: BTreeMap<[VariableId; 2], usize> = BTreeMap::new();
+        self.first_pair = self.hessian_structure.len();
         let structure = &mut self.hessian_structure;
-        let mut place = |pair: (usize, usize)| {
-            *places.entry(pair).or_insert_with(|| {
-                structure.push(pair.0, pair.1);
+        let mut place = |r: VariableId, c: VariableId| {
+            *places.entry([r, c]).or_insert_with(|| {
+                structure.push(r.0, c.0);
                 structure.len() - 1
             })
         };
-        for map in &self.posed.estimands.maps[..self.posed.differing()] {
-            // Variables of different experiments stand in another order than the parameters they are.
-            let mut place = |r: usize, c: usize| place((map[r].max(map[c]), map[r].min(map[c])));
-            self.pairs.1.push(self.dynamics.parameter_pairs().map(|(r, c)| place(r, c)).collect());
+        for map in self.posed.maps() {
+            let mut place = |(r, c)| place_pair(map, r, c, &mut place);
+            self.pairs.push(self.dynamics.parameter_pairs().map(&mut place).collect());
         }
         self.objective.place_pairs(&self.posed, place);
         let mut jacobian = self.boundary.is_some().then(|| self.jacobian_of_defects());
@@ -258,7 +260,7 @@ impl Collocation {
     }
 
     /// The chunks of an experiment.
-    fn chunks_of(&self, experiment: usize) -> impl Iterator<Item = &Chunk> {
+    fn chunks_of(&self, experiment: ExperimentId) -> impl Iterator<Item = &Chunk> {
         self.chunks.iter().filter(move |c| c.experiment == experiment)
     }
 
@@ -279,7 +281,7 @@ impl Collocation {
         let n_x = self.layout.n_x;
         out.fill(0.0);
         let mut first = 0; // mesh point of the experiment
-        for (e, mesh) in self.meshes.iter().enumerate() {
+        for (e, mesh) in self.meshes.numbered() {
             let (k, row) = (mesh.rule.order() - 1, self.layout.first_row(e));
             let b = |point: usize, r: usize| slopes[(first + point) * n_x + r];
             for segment in &mesh.segments {
@@ -302,7 +304,7 @@ impl Collocation {
     }
 
     /// Model outputs at the samples of an experiment: `[output][sample]`.
-    pub fn outputs_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
+    pub fn outputs_at_samples(&self, xi: &[f64], experiment: ExperimentId) -> Vec<Vec<f64>> {
         self.objective.outputs(&self.posed, &self.layout, xi, experiment)
     }
 }
@@ -318,7 +320,7 @@ fn held_values(experiment: &Experiment, channel: usize, mesh: &Mesh) -> Option<V
     Some(experiment.input_over(channel, &begins, &spans))
 }
 
-fn meshes(experiments: &[Experiment], settings: &Settings) -> Result<Vec<Mesh>, Error> {
+fn meshes(experiments: &[Experiment], settings: &Settings) -> Result<IndexVec<ExperimentId, Mesh>, Error> {
     let grids = Grid::for_each(&settings.grid, experiments.len())?;
     experiments.iter().zip(grids).map(|(x, grid)| Mesh::of(settings.order, grid, x)).collect()
 }

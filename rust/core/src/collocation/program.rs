@@ -3,10 +3,11 @@
 use std::ops::Range;
 
 use super::Collocation;
-use crate::nlp::{Chains, Named, Nlp, NotFinite, Reach, Separable, Structure};
+use crate::index::{ConstraintId, ExperimentId, StateId, VariableId};
+use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
 use crate::problem::boundary::Boundary;
 use crate::problem::disjoint::Disjoint;
-use crate::problem::layout::{ConstraintPlace, Layout, Place};
+use crate::problem::layout::{ConstraintPlace, Layout};
 use crate::problem::objective::add;
 use crate::problem::posed::Posed;
 use crate::problem::transcribed::Transcribed;
@@ -76,19 +77,19 @@ impl Nlp for Collocation {
 
     fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
         // The others are written; those between parameters are added up.
-        let (first, ref pairs) = self.pairs;
+        let first = self.first_pair;
         let (stored, between) = out.split_at_mut(first);
         between.fill(0.0);
         let shared = Disjoint::new(stored);
         let finite = self.posed.each(
             &self.chunks,
             (&self.dynamics.f.hessian, xi),
-            pairs[0].len(),
+            self.pairs[ExperimentId(0)].len(),
             |chunk, uniforms, scratch, part| {
                 let job = self.dynamics_job(chunk, xi, uniforms);
                 job.hessian(&mut scratch.workspace, lambda, &shared, part, &mut scratch.weights)
             },
-            |e, part| add(between, first, &pairs[e], part),
+            |e, part| add(between, first, &self.pairs[e], part),
         );
         let finite = finite.and(self.objective.hessian(&self.posed, &self.layout, true, xi, factor, out));
         finite.and(self.at_ends(|b, problem| b.hessian(problem, xi, lambda, out)))
@@ -103,7 +104,7 @@ impl Nlp for Collocation {
         Some(&self.chains)
     }
 
-    fn longest_step(&self, i: usize) -> f64 {
+    fn longest_step(&self, i: VariableId) -> f64 {
         self.posed.estimands.transforms.get(i).map_or(f64::INFINITY, |t| t.longest_step())
     }
 
@@ -120,41 +121,6 @@ impl Nlp for Collocation {
     }
 }
 
-impl Named for Collocation {
-    fn variable_name(&self, i: usize) -> String {
-        match self.layout.place(i) {
-            Place::Parameter(p) => self.posed.parameter_name(p),
-            Place::State { experiment, point, state } => {
-                self.posed.state_name(state, self.meshes[experiment].times[point], experiment)
-            }
-        }
-    }
-
-    fn constraint_name(&self, i: usize) -> String {
-        if let Some(boundary) = self.boundary.as_ref().filter(|_| i >= self.layout.m()) {
-            return boundary.name(i, &self.posed.experiments);
-        }
-        let ConstraintPlace { experiment: e, row, state } = self.layout.constraint(i);
-        let t = &self.meshes[e].times;
-        let name = &self.posed.state_names[state];
-        format!("defect of {name} ending at t = {} s of '{}'", t[row + 1], self.posed.experiments[e].name)
-    }
-
-    fn explain(&self, xi: &[f64]) -> Option<String> {
-        self.why_not_finite(xi)
-    }
-}
-
-impl Separable for Collocation {
-    fn nonlinear(&self) -> Vec<usize> {
-        self.posed.nonlinear()
-    }
-
-    fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64) {
-        self.posed.move_elsewhere(xi, variables, draw);
-    }
-}
-
 impl Transcribed for Collocation {
     fn posed(&self) -> &Posed {
         &self.posed
@@ -164,25 +130,39 @@ impl Transcribed for Collocation {
         &self.layout
     }
 
-    fn boundary_states(&self) -> Vec<usize> {
+    fn boundary_states(&self) -> Vec<StateId> {
         self.boundary.as_ref().map_or_else(Vec::new, Boundary::all_states)
     }
 
-    fn point_times(&self, experiment: usize) -> &[f64] {
+    fn path_constraint_name(&self, of: ConstraintPlace) -> String {
+        let ConstraintPlace { experiment: e, row, state } = of;
+        let (t, name) = (&self.meshes[e].times, &self.posed.state_names[state]);
+        format!("defect of {name} ending at t = {} s of '{}'", t[row + 1], self.posed.experiments[e].name)
+    }
+
+    fn condition_name(&self, i: ConstraintId) -> String {
+        self.boundary.as_ref().map_or_else(String::new, |b| b.name(i, &self.posed.experiments))
+    }
+
+    fn why_not_finite(&self, xi: &[f64]) -> Option<String> {
+        self.explained(xi)
+    }
+
+    fn point_times(&self, experiment: ExperimentId) -> &[f64] {
         &self.meshes[experiment].times
     }
 
-    fn states_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
+    fn states_at_samples(&self, xi: &[f64], experiment: ExperimentId) -> Vec<Vec<f64>> {
         let (first, points) = (self.layout.first_point[experiment], &self.meshes[experiment].sample_points);
-        let path = |r: usize| points.iter().map(|p| xi[self.layout.state(first + p) + r]).collect();
+        let path = |r: usize| points.iter().map(|&p| xi[self.layout.state(first + p) + r]).collect();
         (0..self.layout.n_x).map(path).collect()
     }
 
-    fn outputs_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
+    fn outputs_at_samples(&self, xi: &[f64], experiment: ExperimentId) -> Vec<Vec<f64>> {
         Collocation::outputs_at_samples(self, xi, experiment)
     }
 
-    fn path(&self, xi: &[f64], experiment: usize) -> (Vec<f64>, Vec<Vec<f64>>) {
+    fn path(&self, xi: &[f64], experiment: ExperimentId) -> (Vec<f64>, Vec<Vec<f64>>) {
         let (first, mesh) = (self.layout.first_point[experiment], &self.meshes[experiment]);
         let path = |r: usize| (0..mesh.n_mesh).map(|p| xi[self.layout.state(first + p) + r]).collect();
         (mesh.times[..mesh.n_mesh].to_vec(), (0..self.layout.n_x).map(path).collect())

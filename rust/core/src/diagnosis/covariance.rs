@@ -1,6 +1,8 @@
 //! Covariance of the estimates, and their distance from the optimum, from one factorisation.
 
 use super::SLIGHT;
+use crate::dense::symmetrise;
+use crate::index::VariableId;
 use crate::interrupt::current;
 use crate::linalg::{Effort, Entries, KktChoice, KktError};
 use crate::nlp::{Nlp, NotFinite};
@@ -16,7 +18,7 @@ pub struct Information {
     pub step: Vec<f64>,
     /// Groups of variables in a direction in which the likelihood has no curvature: they are without
     /// influence, or trade off.
-    pub undetermined: Vec<Vec<usize>>,
+    pub undetermined: Vec<Vec<VariableId>>,
     /// Whether the likelihood even grows in some direction: not a maximum.
     pub saddle: bool,
 }
@@ -64,8 +66,8 @@ pub fn information(
     nlp: &dyn Nlp,
     xi: &[f64],
     lambda: &[f64],
-    wanted: &[usize],
-    held: &[usize],
+    wanted: &[VariableId],
+    held: &[VariableId],
     kkt: &KktChoice,
 ) -> Result<Information, NoInformation> {
     let found = informed(nlp, xi, lambda, wanted, held, kkt);
@@ -77,8 +79,8 @@ fn informed(
     nlp: &dyn Nlp,
     xi: &[f64],
     lambda: &[f64],
-    wanted: &[usize],
-    held: &[usize],
+    wanted: &[VariableId],
+    held: &[VariableId],
     kkt: &KktChoice,
 ) -> Result<Information, NoInformation> {
     let interrupt = current();
@@ -99,7 +101,7 @@ fn informed(
     let kkt = kkt.factorize(&entries, Effort::FULL).map_err(NoInformation::Singular)?;
     unless_stopped()?;
     let mut holding = vec![false; n];
-    held.iter().for_each(|&i| holding[i] = true);
+    held.iter().for_each(|i| holding[i.0] = true);
 
     let border = nlp.chains().map_or(n, |c| c.border);
     let mut undetermined = Vec::new();
@@ -111,19 +113,19 @@ fn informed(
     while !found.is_positive() {
         unless_stopped()?;
         saddle |= found.negative > 0;
-        let mut next: Vec<(usize, usize)> = Vec::new(); // a variable, and its group
+        let mut next: Vec<(VariableId, usize)> = Vec::new(); // a variable, and its group
         for direction in kkt.weak_directions() {
             let most = direction.first().map_or(0.0, |x| x.1.abs());
             let part = direction.iter().filter(|x| x.1.abs() > PART * most);
-            let mut part: Vec<usize> = part.map(|x| x.0).collect();
+            let mut part: Vec<VariableId> = part.map(|x| x.0).collect();
             next.extend(part.first().map(|&i| (i, undetermined.len())));
             part.sort_unstable();
             undetermined.push(part);
         }
         let mut any = false;
-        for (i, group) in next.into_iter().filter(|&(i, _)| i < border) {
-            if !holding[i] {
-                (any, holding[i]) = (true, true);
+        for (i, group) in next.into_iter().filter(|(i, _)| i.0 < border) {
+            if !holding[i.0] {
+                (any, holding[i.0]) = (true, true);
                 leads.push((i, group));
             }
         }
@@ -145,7 +147,7 @@ fn informed(
         let Some((lead, trade)) = confounded(&covariance, wanted, xi, nlp.n_parameters()) else {
             break;
         };
-        holding[lead] = true;
+        holding[lead.0] = true;
         leads.push((lead, undetermined.len()));
         undetermined.push(trade);
         found = kkt.finish(&holding, if kept { SLIGHT } else { 0.0 });
@@ -160,9 +162,9 @@ fn informed(
         let mut other = vec![0.0; k * k];
         kkt.covariance(wanted, &mut other);
         let follows =
-            |i: usize| wanted[i] < nlp.n_parameters() && other[i * k + i] < 0.5 * covariance[i * k + i];
-        let alone: Vec<usize> = (0..k).filter(|&i| follows(i)).map(|i| wanted[i]).collect();
-        let named: Vec<usize> = undetermined.iter().flatten().copied().collect();
+            |i: usize| wanted[i].0 < nlp.n_parameters() && other[i * k + i] < 0.5 * covariance[i * k + i];
+        let alone: Vec<VariableId> = (0..k).filter(|&i| follows(i)).map(|i| wanted[i]).collect();
+        let named: Vec<VariableId> = undetermined.iter().flatten().copied().collect();
         undetermined.extend(alone.into_iter().filter(|i| !named.contains(i)).map(|i| vec![i]));
         kkt.finish(&holding, SLIGHT);
     }
@@ -175,17 +177,12 @@ fn informed(
     let (mut d, mut more) = (vec![0.0; n], vec![0.0; m]);
     kkt.solve(&gradient, &c, &mut d, &mut more);
     let mut step: Vec<f64> = wanted.iter().map(|&i| d[i]).collect();
-    for i in 0..k {
-        for j in 0..i {
-            let mean = 0.5 * (covariance[i * k + j] + covariance[j * k + i]);
-            (covariance[i * k + j], covariance[j * k + i]) = (mean, mean);
-        }
-    }
+    symmetrise(&mut covariance, k);
     let mut sizes = vec![0.0; border];
     units.size_border(nlp, xi, (&jacobian, &hessian), &mut sizes);
     let sigmas: Vec<f64> = (0..k).map(|i| covariance[i * k + i].sqrt()).collect();
     for (lead, group) in leads {
-        let group: &mut Vec<usize> = &mut undetermined[group];
+        let group: &mut Vec<VariableId> = &mut undetermined[group];
         let (p, q) = column(nlp, &hessian, &jacobian, lead);
         kkt.solve(&p, &q, &mut d, &mut more);
         group.extend(companions(&d, wanted, &sigmas, if sizes[lead] > 0.0 { sizes[lead] } else { 1.0 }));
@@ -204,20 +201,20 @@ fn informed(
 }
 
 /// The column of a variable in the KKT matrix, its sign changed: the right-hand side of the response to a unit change.
-fn column(nlp: &dyn Nlp, hessian: &[f64], jacobian: &[f64], variable: usize) -> (Vec<f64>, Vec<f64>) {
+fn column(nlp: &dyn Nlp, hessian: &[f64], jacobian: &[f64], variable: VariableId) -> (Vec<f64>, Vec<f64>) {
     let (mut p, mut q) = (vec![0.0; nlp.n()], vec![0.0; nlp.m()]);
     let s = nlp.hessian_structure();
     for ((&r, &c), h) in s.rows.iter().zip(&s.columns).zip(hessian) {
         let (r, c) = (r as usize, c as usize);
-        if r == variable {
+        if r == variable.0 {
             p[c] -= h;
-        } else if c == variable {
+        } else if c == variable.0 {
             p[r] -= h;
         }
     }
     let s = nlp.jacobian_structure();
     for ((&r, &c), a) in s.rows.iter().zip(&s.columns).zip(jacobian) {
-        if c as usize == variable {
+        if c as usize == variable.0 {
             q[r as usize] -= a;
         }
     }
@@ -227,9 +224,9 @@ fn column(nlp: &dyn Nlp, hessian: &[f64], jacobian: &[f64], variable: usize) -> 
 /// Returns which variables are confounded with one that is set aside: `d` is how far all move when it moves by one,
 /// and it may move by `far`. Their standard errors `sigmas`, of the variables `wanted`, are those with it fixed,
 /// which say nothing of where the variables are.
-fn companions(d: &[f64], wanted: &[usize], sigmas: &[f64], far: f64) -> Vec<usize> {
+fn companions(d: &[f64], wanted: &[VariableId], sigmas: &[f64], far: f64) -> Vec<VariableId> {
     let moves = wanted.iter().zip(sigmas).filter(|(_, s)| **s > 0.0).map(|(&i, s)| (i, d[i].abs() / s));
-    let moves: Vec<(usize, f64)> = moves.collect();
+    let moves: Vec<(VariableId, f64)> = moves.collect();
     let most = moves.iter().fold(0.0f64, |a, m| a.max(m.1));
     if most * far < MOVES {
         return Vec::new(); // it moves nothing: it is without influence
@@ -240,9 +237,14 @@ fn companions(d: &[f64], wanted: &[usize], sigmas: &[f64], far: f64) -> Vec<usiz
 /// The first parameter (of `n`) that is a linear combination of those before it, by the covariance (k × k of
 /// `wanted`): returns the one with the greatest part in the combination, and all with a part. A parameter and an
 /// initial state are not compared: those of an unstable motion are collinear up to rounding, and yet well determined.
-fn confounded(covariance: &[f64], wanted: &[usize], xi: &[f64], n: usize) -> Option<(usize, Vec<usize>)> {
+fn confounded(
+    covariance: &[f64],
+    wanted: &[VariableId],
+    xi: &[f64],
+    n: usize,
+) -> Option<(VariableId, Vec<VariableId>)> {
     let k = wanted.len();
-    let known: Vec<usize> = (0..k).filter(|&i| wanted[i] < n && covariance[i * k + i] > 0.0).collect();
+    let known: Vec<usize> = (0..k).filter(|&i| wanted[i].0 < n && covariance[i * k + i] > 0.0).collect();
     // Rows of the Cholesky factor of the correlation matrix.
     let mut l: Vec<Vec<f64>> = Vec::with_capacity(known.len());
     for &i in &known {
@@ -264,16 +266,16 @@ fn confounded(covariance: &[f64], wanted: &[usize], xi: &[f64], n: usize) -> Opt
             row.push(1.0);
             let most = row.iter().fold(0.0f64, |a, v| a.max(v.abs()));
             let parts = row.iter().zip(&known).filter(|(v, _)| v.abs() > PART * most);
-            let parts: Vec<(f64, usize)> = parts.map(|(v, &i)| (v.abs(), wanted[i])).collect();
+            let parts: Vec<(f64, VariableId)> = parts.map(|(v, &i)| (v.abs(), wanted[i])).collect();
             let lead = parts.iter().max_by(|a, b| a.0.total_cmp(&b.0))?.1;
             let error =
-                |v: usize| covariance[(0..k).find(|&i| wanted[i] == v).map_or(0, |i| i * k + i)].sqrt();
+                |v: VariableId| covariance[(0..k).find(|&i| wanted[i] == v).map_or(0, |i| i * k + i)].sqrt();
             if parts.iter().all(|&(_, v)| error(v) < KNOWN * xi[v].abs()) {
                 // A combination is known far better than they are, as by an output without noise; but so are they.
                 l.push([entries, vec![left.max(f64::EPSILON).sqrt()]].concat());
                 continue;
             }
-            let mut trade: Vec<usize> = parts.into_iter().map(|p| p.1).collect();
+            let mut trade: Vec<VariableId> = parts.into_iter().map(|p| p.1).collect();
             trade.sort_unstable();
             return Some((lead, trade));
         }

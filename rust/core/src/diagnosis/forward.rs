@@ -5,9 +5,10 @@ use std::ops::Deref;
 use nalgebra::{DMatrix, Dyn, LU};
 
 use crate::collocation::Collocation;
+use crate::index::{ConstraintId, ExperimentId, PointId, StateId, VariableId};
 use crate::interrupt::{Interrupt, current};
 use crate::nlp::{Nlp, NotFinite};
-use crate::problem::layout::ConstraintPlace;
+use crate::problem::layout::{ConstraintPlace, Place};
 use crate::simd::kernel;
 use crate::solver::state_units;
 use crate::threads::Threads;
@@ -32,7 +33,7 @@ type Between = Vec<(usize, DMatrix<f64>)>;
 struct ByParameter {
     /// Row within the segment, or among the samples between mesh points.
     row: usize,
-    parameter: usize,
+    parameter: VariableId,
     value: f64,
 }
 
@@ -92,28 +93,25 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
         }
         let structure = problem.jacobian_structure();
         for ((&r, &c), v) in structure.rows.iter().zip(&structure.columns).zip(&values) {
-            let (r, c) = (r as usize, c as usize);
-            if r >= layout.m() {
+            if r as usize >= layout.m() {
                 continue;
             }
-            let ConstraintPlace { experiment: e, row, state } = layout.constraint(r);
-            let mesh = &problem.meshes[e];
-            if c < layout.n_theta {
-                let k = mesh.rule.order() - 1;
+            let ConstraintPlace { experiment, row, state: StateId(state) } =
+                layout.constraint(ConstraintId(r as usize));
+            let (mesh, e, k) =
+                (&problem.meshes[experiment], experiment.0, problem.meshes[experiment].rule.order() - 1);
+            let Place::State { point, state: StateId(column), .. } = layout.place(VariableId(c as usize))
+            else {
+                let parameter = VariableId(c as usize);
                 if row + 1 < mesh.n_mesh {
-                    parameters[e][row / k].push(ByParameter {
-                        row: row % k * n + state,
-                        parameter: c,
-                        value: *v,
-                    });
+                    let row_of_segment = row % k * n + state;
+                    parameters[e][row / k].push(ByParameter { row: row_of_segment, parameter, value: *v });
                 } else {
                     let tie = row + 1 - mesh.n_mesh;
-                    of_ties[e].push(ByParameter { row: tie * n + state, parameter: c, value: *v });
+                    of_ties[e].push(ByParameter { row: tie * n + state, parameter, value: *v });
                 }
                 continue;
-            }
-            let (k, point) = (mesh.rule.order() - 1, (c - layout.n_theta) / n - layout.first_point[e]);
-            let column = (c - layout.n_theta) % n;
+            };
             if row + 1 < mesh.n_mesh {
                 let (segment, inner) = (row / k, row % k);
                 let at = point - mesh.segments[segment].point;
@@ -217,7 +215,7 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
     pub(super) fn states(
         &self,
         interrupt: &Interrupt,
-        slopes: impl Fn(usize, usize, &mut [Lanes]),
+        slopes: impl Fn(usize, PointId, &mut [Lanes]),
     ) -> Vec<Lanes> {
         let layout = &self.problem.layout;
         let n = layout.n_x;
@@ -235,7 +233,7 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
                     break;
                 }
                 given[..n].copy_from_slice(&path[step.point * n..][..n]);
-                slopes(begin + step.point, first + step.point, &mut given[n..]);
+                slopes(begin + step.point, *first + step.point, &mut given[n..]);
                 let end = (step.point + k + 1) * n;
                 let rows = step.map.len() / given.len();
                 combined(&step.map, &given, &mut path[end - rows..end]);
@@ -266,12 +264,12 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
 
     /// Returns the responses to variables that move by 1: parameters, or states at a first point (all others give
     /// nothing). They are invalid where the interrupt in force stopped it.
-    pub fn tangents(&self, variables: &[usize]) -> Vec<Vec<f64>> {
+    pub fn tangents(&self, variables: &[VariableId]) -> Vec<Vec<f64>> {
         let layout = &self.problem.layout;
         let (n, theta) = (layout.n_x, layout.n_theta);
         let first =
-            |e: usize, r: usize, c: usize| f64::from(variables[c] == layout.state(layout.first_point[e]) + r);
-        let column = |v: usize| variables.iter().position(|&i| i == v && v < theta);
+            |e, r: usize, c: usize| f64::from(variables[c] == layout.state(layout.first_point[e]) + r);
+        let column = |v: VariableId| variables.iter().position(|&i| i == v && v.0 < theta);
         let force = |e: usize, _: usize, step: usize, y: &mut DMatrix<f64>| {
             for by in &self.steps[e][step].parameters {
                 if let Some(c) = column(by.parameter) {
@@ -294,7 +292,7 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
     fn march(
         &self,
         columns: usize,
-        first: impl Fn(usize, usize, usize) -> f64,
+        first: impl Fn(ExperimentId, usize, usize) -> f64,
         force: impl Fn(usize, usize, usize, &mut DMatrix<f64>),
         tied: impl Fn(usize, usize, usize, &mut DMatrix<f64>),
     ) -> Vec<Vec<f64>> {
@@ -307,7 +305,7 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
             let k = mesh.rule.order() - 1;
             // States at all points, a column for each right-hand side.
             let mut path = DMatrix::<f64>::zeros(mesh.times.len() * n, columns);
-            path.rows_mut(0, n).copy_from(&DMatrix::from_fn(n, columns, |r, c| first(e, r, c)));
+            path.rows_mut(0, n).copy_from(&DMatrix::from_fn(n, columns, |r, c| first(ExperimentId(e), r, c)));
             let mut tie = 0;
             for (i, step) in steps.iter().enumerate() {
                 if turns.stop() {

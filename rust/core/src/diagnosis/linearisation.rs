@@ -6,6 +6,7 @@ use std::ops::Deref;
 use super::forward::{AT_ONCE, Forward, Lanes};
 use super::response::Response;
 use crate::collocation::Collocation;
+use crate::index::{PointId, VariableId};
 use crate::interrupt::current;
 use crate::nlp::NotFinite;
 use crate::threads::Threads;
@@ -43,18 +44,18 @@ enum Factors<P> {
 pub struct Linearisation<P> {
     problem: P,
     xi: Vec<f64>,
-    held: Vec<usize>,
+    held: Vec<VariableId>,
     factors: Option<Factors<P>>,
 }
 
 impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
     /// About ξ. Variables `held` (fixed, at a bound, of the noise) do not move.
-    pub fn new(problem: P, xi: &[f64], held: &[usize]) -> Linearisation<P> {
+    pub fn new(problem: P, xi: &[f64], held: &[VariableId]) -> Linearisation<P> {
         Linearisation { problem, xi: xi.to_vec(), held: held.to_vec(), factors: None }
     }
 
     /// Whether it is that about ξ, with these variables held.
-    pub fn is_at(&self, xi: &[f64], held: &[usize]) -> bool {
+    pub fn is_at(&self, xi: &[f64], held: &[VariableId]) -> bool {
         self.xi == xi && self.held == held
     }
 
@@ -76,14 +77,14 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
     /// # Errors
     /// [`NotFinite`] when a derivative is not finite there, the equations depend on each other, or the interrupt in force
     /// stops it.
-    pub fn tangents(&mut self, variables: &[usize]) -> Result<(Vec<f64>, bool), NotFinite> {
+    pub fn tangents(&mut self, variables: &[VariableId]) -> Result<(Vec<f64>, bool), NotFinite> {
         let problem = self.problem.clone();
         let layout = &problem.layout;
         let mut out = Vec::new();
         let response = match self.factors()? {
             Factors::Forward(forward) => {
                 for (&i, states) in variables.iter().zip(forward.tangents(variables)) {
-                    out.extend((0..layout.n_theta).map(|p| f64::from(p == i)));
+                    out.extend((0..layout.n_theta).map(|p| f64::from(p == i.0)));
                     out.extend(states);
                 }
                 return if current().stops() { Err(NotFinite) } else { Ok((out, true)) };
@@ -100,7 +101,7 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
             out.extend_from_slice(&d[..layout.n_theta]);
             for (mesh, first) in problem.meshes.iter().zip(&layout.first_point) {
                 for point in &mesh.sample_points {
-                    out.extend_from_slice(&d[layout.state(first + point)..][..layout.n_x]);
+                    out.extend_from_slice(&d[layout.states(*first + *point)]);
                 }
             }
         }
@@ -124,8 +125,8 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
         let (n, n_theta) = (layout.n_x, layout.n_theta);
         let points: usize = problem.meshes.iter().map(|m| m.times.len()).sum();
         let meshes = || problem.meshes.iter().zip(&layout.first_point);
-        let samples: Vec<usize> =
-            meshes().flat_map(|(m, f)| m.sample_points.iter().map(move |p| f + p)).collect();
+        let samples: Vec<PointId> =
+            meshes().flat_map(|(m, f)| m.sample_points.iter().map(move |p| *f + *p)).collect();
         let width = outputs.rows.iter().filter(|&&r| r >= 0).count();
         let k = signals.len() / points.max(1);
         let (mut columns, mut parameters) = (vec![0.0; k * width], vec![0.0; k * n_theta]);
@@ -143,7 +144,7 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
                 let x = if states.is_empty() { &[] } else { &states[s * n..][..n] };
                 for i in s * outputs.n_y..(s + 1) * outputs.n_y {
                     let Ok(row) = usize::try_from(outputs.rows[i]) else { continue };
-                    let mut y = at[*point].map(|v| v * place.outputs[i]);
+                    let mut y = at[point.0].map(|v| v * place.outputs[i]);
                     for (by, x) in outputs.by_state[i * n..].iter().zip(x) {
                         y.iter_mut().zip(x).for_each(|(y, x)| *y += by * x);
                     }
@@ -176,7 +177,8 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
                     let at = lanes(signals);
                     let states = forward.states(&interrupt, |mesh_point, point, given| {
                         let slopes = place.slopes[mesh_point * n..].chunks_exact(n);
-                        for ((given, slopes), at) in given.chunks_exact_mut(n).zip(slopes).zip(&at[point..]) {
+                        for ((given, slopes), at) in given.chunks_exact_mut(n).zip(slopes).zip(&at[point.0..])
+                        {
                             given.iter_mut().zip(slopes).for_each(|(g, b)| *g = at.map(|v| v * b));
                         }
                     });
@@ -197,7 +199,7 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
                         if interrupt.stops() {
                             return Err(NotFinite);
                         }
-                        let at_mesh = meshes().flat_map(|(m, f)| &signal[*f..f + m.n_mesh]);
+                        let at_mesh = meshes().flat_map(|(m, f)| &signal[f.0..f.0 + m.n_mesh]);
                         for ((slope, one), s) in
                             slopes.chunks_exact_mut(n).zip(place.slopes.chunks_exact(n)).zip(at_mesh)
                         {

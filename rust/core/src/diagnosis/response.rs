@@ -4,6 +4,7 @@ use std::ops::Deref;
 
 use super::SLIGHT;
 use crate::collocation::Collocation;
+use crate::index::VariableId;
 use crate::linalg::{Effort, Entries, KktSolver, kkt_for};
 use crate::nlp::{Nlp, NotFinite};
 use crate::solver::state_units;
@@ -30,7 +31,7 @@ impl<P: Deref<Target = Collocation>> Response<P> {
     ///
     /// # Errors
     /// [`NotFinite`] when a derivative is not finite there, or the constraints depend on each other.
-    pub fn new(problem: P, xi: &[f64], held: &[usize]) -> Result<Self, NotFinite> {
+    pub fn new(problem: P, xi: &[f64], held: &[VariableId]) -> Result<Self, NotFinite> {
         let (n, m) = (problem.n(), problem.m());
         let mut hessian = vec![0.0; problem.hessian_structure().len()];
         let mut jacobian = vec![0.0; problem.jacobian_structure().len()];
@@ -40,7 +41,7 @@ impl<P: Deref<Target = Collocation>> Response<P> {
         let entries = Entries { hessian: &hessian, jacobian: &jacobian };
         let factor = kkt.factorize(&entries, Effort::FULL).map_err(|_| NotFinite)?;
         let mut holding = vec![false; n];
-        held.iter().for_each(|&i| holding[i] = true);
+        held.iter().for_each(|i| holding[i.0] = true);
         if !factor.finish(&holding, 0.0).is_positive() && !factor.finish(&holding, SLIGHT).is_positive() {
             return Err(NotFinite);
         }
@@ -57,7 +58,7 @@ impl<P: Deref<Target = Collocation>> Response<P> {
     }
 
     /// The tangent along which variable `i` moves most easily.
-    pub fn tangent(&mut self, i: usize, d: &mut [f64]) {
+    pub fn tangent(&mut self, i: VariableId, d: &mut [f64]) {
         self.p[i] = 1.0;
         self.solve(d);
         self.p[i] = 0.0;

@@ -9,6 +9,7 @@ use std::time::Duration;
 use super::Estimation;
 use super::fit::{Bound, Fit, Moved, Record};
 use super::start::Start;
+use super::transcription::Transcription;
 use crate::condition::End;
 use crate::error::Error;
 use crate::experiment::{Experiment, Signal};
@@ -126,14 +127,15 @@ impl Estimation<'_> {
                 start.push((name.clone(), self.at_moved(value, moved)));
             }
         }
-        let grids = &self.transcription.grid;
-        let grid = moved.iter().zip(self.experiments).enumerate();
-        let grid = grid.filter_map(|(e, (m, own))| {
-            Some(grid_of(grids.get(if grids.len() == 1 { 0 } else { e })?, m, own))
-        });
         let mut transcription = self.transcription.clone();
-        if grids.len() == 1 || grids.len() == moved.len() {
-            transcription.grid = grid.collect();
+        if let Transcription::Collocation(settings) = &mut transcription {
+            let grids = std::mem::take(&mut settings.grid);
+            let of = |e: usize| grids.get(if grids.len() == 1 { 0 } else { e });
+            let grid = moved.iter().zip(self.experiments).enumerate();
+            settings.grid = match grids.len() == 1 || grids.len() == moved.len() {
+                true => grid.filter_map(|(e, (m, own))| Some(grid_of(of(e)?, m, own))).collect(),
+                false => grids, // refused as any other is
+            };
         }
         let earlier = before.map(|fit| Arc::new(fit.into())).or_else(|| self.earlier.clone());
         Estimation { model: slim, experiments: moved, transcription, start, earlier, ..self.clone() }

@@ -34,6 +34,7 @@ impl fmt::Display for Bound {
 
 /// An estimated quantity: a parameter, a standard deviation or an initial state.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Estimate {
     /// Name.
     pub name: String,
@@ -52,6 +53,7 @@ pub struct Estimate {
 /// States, outputs and residuals of one experiment at its samples. Channels stand in the order of the
 /// model's states and outputs; by name: [`Fit::state`], [`Fit::output`], [`Fit::residual`].
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Record {
     /// Name of the experiment.
     pub name: String,
@@ -97,6 +99,7 @@ pub struct Record {
 /// # Ok::<(), phugoid::Error>(())
 /// ```
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Fit {
     /// The model.
     pub model: Model,
@@ -138,6 +141,7 @@ pub struct Fit {
 
 /// A fit of a model at fixed delays to records that were moved by them, and of a model whose kinks are smooth.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Moved {
     /// The fit.
     pub fit: Fit,

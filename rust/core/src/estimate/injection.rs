@@ -10,8 +10,8 @@
 use super::Estimation;
 use super::fit::Fit;
 use super::motion::{SEARCH, Values};
-use super::restarts::Search;
 use super::run::Watch;
+use super::search::Search;
 use crate::error::Error;
 use crate::experiment::{Experiment, Signal};
 use crate::expr::Expr;

@@ -33,6 +33,7 @@ const SAME: f64 = 1e-9;
 
 /// The error that each of S segments of one experiment adds to the path.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct IntegrationError {
     /// Name of the experiment.
     pub name: String,

@@ -39,7 +39,6 @@ const NO_MAXIMUM: &str = "not a proper maximum: the log-likelihood grows from he
 pub(super) fn judge(
     problem: &dyn Transcribed,
     found: &Information,
-    wanted: &[usize],
     (status, message): (&mut Status, &mut String),
     warnings: &mut Vec<String>,
 ) {
@@ -47,7 +46,7 @@ pub(super) fn judge(
     if !status.is_end() {
         return;
     }
-    let k = wanted.len();
+    let k = found.step.len();
     let close = |i: usize| found.step[i].abs() < CLOSE * found.covariance[i * k + i].sqrt();
     let mut groups = Vec::new();
     for group in &found.undetermined {

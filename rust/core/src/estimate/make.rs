@@ -9,6 +9,7 @@ use super::judge::{
 use crate::diagnosis::{NoInformation, information};
 use crate::experiment::Experiment;
 use crate::gaps::gap_warnings;
+use crate::index::{ExperimentId, IndexVec, VariableId};
 use crate::interrupt::{Cause, Interrupt};
 use crate::linalg::KktError;
 use crate::model::{Model, Scaling, Variable};
@@ -51,14 +52,12 @@ fn assessed(
     let xi = &solution.xi[..];
     let (n_theta, n_x) = (problem.layout().n_theta, problem.layout().n_x);
     let bounds = active_bounds(problem, xi, interior);
-    let held: Vec<usize> = (0..n_theta).filter(|&i| bounds[i].is_some()).collect();
-    let initial: Vec<usize> = problem.layout().first_point[..experiments.len()]
-        .iter()
-        .map(|&p| problem.layout().state(p))
-        .collect();
-    let mut wanted: Vec<usize> = (0..n_theta).filter(|&i| bounds[i].is_none()).collect();
+    let (held, mut wanted): (Vec<_>, Vec<_>) =
+        (0..n_theta).map(VariableId).partition(|i| bounds[*i].is_some());
+    let first = problem.layout().first_point.iter().take(experiments.len());
+    let initial: Vec<VariableId> = first.map(|&p| problem.layout().state(p)).collect();
     let free = wanted.len();
-    wanted.extend(initial.iter().flat_map(|first| *first..first + n_x));
+    wanted.extend(initial.iter().flat_map(|first| (0..n_x).map(move |r| *first + r)));
 
     let (mut status, mut message) = (solution.status, solution.message.clone());
     let mut warnings = Vec::new();
@@ -79,10 +78,10 @@ fn assessed(
         None => warnings.push(NOT_FEASIBLE.into()),
         Some(Err(why)) => warnings.push(no_errors(problem, xi, why, limit)),
         Some(Ok(found)) => {
-            judge(problem, &found, &wanted, (&mut status, &mut message), &mut warnings);
+            judge(problem, &found, (&mut status, &mut message), &mut warnings);
             let k = wanted.len();
             // The solver sees the logarithm of a parameter, or a part of it.
-            let slope = |i: usize| {
+            let slope = |i: VariableId| {
                 let transform = problem.posed().estimands.transforms.get(i);
                 transform.map_or(1.0, |t| t.slope(xi[i]))
             };
@@ -92,17 +91,18 @@ fn assessed(
                     errors[i] = variance.sqrt() * slope(i).abs();
                 }
                 for (b, &j) in wanted[..free].iter().enumerate().filter(|_| a < free) {
-                    covariance[i * n_theta + j] = found.covariance[a * k + b] * slope(i) * slope(j);
+                    covariance[i.0 * n_theta + j.0] = found.covariance[a * k + b] * slope(i) * slope(j);
                 }
             }
-            warnings.extend(confounded(&problem.posed().parameters, &covariance));
+            warnings.extend(confounded(problem.posed().parameters.as_slice(), &covariance));
             noise_covariance(&reported, n_model, n_theta, &mut covariance);
             for i in n_model..n_theta {
                 errors[i] = covariance[i * n_theta + i].sqrt();
             }
         }
     }
-    let names: Vec<&str> = problem.posed().parameters[..n_model].iter().map(|p| p.name.as_str()).collect();
+    let of_model = || problem.posed().parameters.numbered().take(n_model);
+    let names: Vec<&str> = of_model().map(|(_, p)| p.name.as_str()).collect();
     for scaling in scalings {
         let scaled =
             |name: &str| scaling.exponents.iter().any(|e| e.0 == name.split('[').next().unwrap_or(name));
@@ -112,7 +112,7 @@ fn assessed(
             (0..n_theta).for_each(|j| covariance[j * n_theta + i] = f64::NAN);
         }
         for (i, _) in model.states.iter().enumerate().filter(|s| scaled(&s.1.name)) {
-            initial.iter().for_each(|first| errors[first + i] = f64::NAN);
+            initial.iter().for_each(|&first| errors[first + i] = f64::NAN);
         }
         warnings.push(scaling.advice(model));
     }
@@ -126,7 +126,7 @@ fn assessed(
         status = Status::Unidentifiable;
     }
 
-    let of_model = problem.posed().parameters[..n_model].iter().enumerate().map(|(i, p)| Estimate {
+    let of_model = of_model().map(|(i, p)| Estimate {
         name: p.name.clone(),
         unit: p.unit.clone(),
         value: problem.posed().estimands.value(i, xi),
@@ -136,7 +136,8 @@ fn assessed(
     });
     let of_noise = reported.iter().enumerate().map(|(i, r)| {
         let of = |k: usize| {
-            if r.gradient[k] < 0.0 { bounds[n_model + k].map(flipped) } else { bounds[n_model + k] }
+            let bound = bounds[VariableId(n_model + k)];
+            if r.gradient[k] < 0.0 { bound.map(flipped) } else { bound }
         };
         Estimate {
             name: r.name.clone(),
@@ -159,12 +160,12 @@ fn assessed(
         warnings.extend(large_defects(model, problem, xi, &total));
     }
     warnings.extend(gap_warnings(&model.input_names(), experiments));
-    let of_model = held.iter().filter(|&&i| i < n_model).count();
+    let of_model = held.iter().filter(|i| i.0 < n_model).count();
     // Each constraint, of the path or on its ends, takes one unknown away.
     let unknowns = (problem.n() - of_model - (n_theta - n_model)).saturating_sub(problem.m());
     warnings.extend(few_samples(model, experiments, unknowns));
 
-    let record = |e: usize| record(model, &experiments[e], problem, xi, &errors, e);
+    let record = |e: usize| record(model, &experiments[e], problem, xi, &errors, ExperimentId(e));
     let log_likelihood = match problem.objective(xi) {
         Ok(objective) if feasible => problem.posed().prior_terms(xi) - objective,
         _ => f64::NAN,
@@ -236,7 +237,11 @@ fn noise_covariance(reported: &[Reported], n_model: usize, n: usize, covariance:
 
 /// For each parameter, what keeps it where it is. A bound other than zero is its own measure, so that units do not matter;
 /// one of zero is measured by the other.
-fn active_bounds(problem: &dyn Transcribed, xi: &[f64], interior: bool) -> Vec<Option<Bound>> {
+fn active_bounds(
+    problem: &dyn Transcribed,
+    xi: &[f64],
+    interior: bool,
+) -> IndexVec<VariableId, Option<Bound>> {
     let (lower, upper) = problem.bounds();
     let part = if interior { NEAR_BOUND } else { AT_BOUND };
     let at = |i: usize, bound: f64, other: f64| {
@@ -267,7 +272,7 @@ fn record(
     problem: &dyn Transcribed,
     xi: &[f64],
     errors: &[f64],
-    e: usize,
+    e: ExperimentId,
 ) -> Record {
     let layout = problem.layout();
     let first = layout.first_point[e];

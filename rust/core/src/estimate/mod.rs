@@ -7,10 +7,8 @@ mod fit;
 mod injection;
 mod integration;
 mod judge;
-
 mod make;
 mod motion;
-
 mod noise;
 mod outside;
 mod print;
@@ -18,6 +16,7 @@ mod refine;
 mod restarts;
 mod retries;
 mod run;
+mod search;
 mod segments;
 mod smoothing;
 mod start;
@@ -32,7 +31,7 @@ pub use judge::unlike_noise;
 pub use noise::resolved;
 pub use outside::{Beginning, Solver};
 pub use refine::{Refinement, RefinementStep};
-pub use smoothing::{Smoothing, SmoothingStep};
+pub use smoothing::{KinkWidth, LeftInError, Smoothing, SmoothingStep};
 pub use start::{Given, Start, point};
 pub use transcription::{Problem, Transcription};
 
@@ -86,8 +85,7 @@ use crate::solver::Settings;
 pub struct Estimation<'a> {
     model: &'a Model,
     experiments: &'a [Experiment],
-    transcription: collocation::Settings,
-    shots: Option<Shots>,
+    transcription: Transcription,
     solver: Settings,
     own_solver: Option<&'a dyn Solver>,
     regression: Option<bool>,
@@ -119,8 +117,7 @@ impl<'a> Estimation<'a> {
         Estimation {
             model,
             experiments,
-            transcription: collocation::Settings::default(),
-            shots: None,
+            transcription: Transcription::default(),
             solver: Settings::default(),
             own_solver: None,
             regression: None,
@@ -142,38 +139,41 @@ impl<'a> Estimation<'a> {
         }
     }
 
-    /// Points of a segment: 2 is the trapezoid, 4 the default.
-    pub fn order(mut self, order: usize) -> Self {
-        self.transcription.order = order;
+    /// How the estimation becomes a nonlinear program: collocation of order 4 with one segment between samples, unless said.
+    pub fn transcription(mut self, transcription: impl Into<Transcription>) -> Self {
+        self.transcription = transcription.into();
         self
     }
 
-    /// Division of every experiment into segments: one between samples unless said.
-    pub fn grid(mut self, grid: Grid) -> Self {
-        self.transcription.grid = vec![grid];
+    /// Points of a segment of collocation: 2 is the trapezoid, 4 the default. Shooting has none.
+    pub fn order(mut self, order: usize) -> Self {
+        if let Transcription::Collocation(settings) = &mut self.transcription {
+            settings.order = order;
+        }
         self
+    }
+
+    /// Division of every experiment into segments: by collocation one between samples, by shooting a single one, unless said.
+    pub fn grid(self, grid: Grid) -> Self {
+        self.grids(vec![grid])
     }
 
     /// Division of each experiment into segments, as many divisions as experiments.
     pub fn grids(mut self, grids: Vec<Grid>) -> Self {
-        self.transcription.grid = grids;
+        *self.transcription.grids_mut() = grids;
         self
     }
 
     /// Single or multiple shooting in place of collocation. No regression precedes it unless asked for: between
     /// nodes far apart, the states as measured say little.
-    pub fn shooting(mut self, settings: Shots) -> Self {
-        let threads = if settings.threads == 0 { self.transcription.threads } else { settings.threads };
-        self.shots = Some(settings.threads(threads));
-        self
+    pub fn shooting(self, settings: Shots) -> Self {
+        let threads = if settings.threads == 0 { self.transcription.threads() } else { settings.threads };
+        self.transcription(settings.threads(threads))
     }
 
     /// Threads; as many as there are cores unless said.
     pub fn threads(mut self, threads: usize) -> Self {
-        self.transcription.threads = threads;
-        if let Some(shots) = &mut self.shots {
-            shots.threads = threads;
-        }
+        *self.transcription.threads_mut() = threads;
         self
     }
 
@@ -325,7 +325,7 @@ impl<'a> Estimation<'a> {
     pub fn transcribe(&self) -> Result<(Collocation, Vec<f64>), Error> {
         let noise = self.checked_noise()?;
         let noise_per_experiment = self.noise.per_experiment;
-        let settings = collocation::Settings { noise_per_experiment, ..self.transcription.clone() };
+        let settings = collocation::Settings { noise_per_experiment, ..self.transcription.collocation() };
         let problem = Collocation::new(self.model, self.experiments, noise, &settings)?;
         let xi = self.starting_point(&problem)?;
         Ok((problem, xi))
@@ -356,6 +356,6 @@ impl<'a> Estimation<'a> {
     fn multipliers(&self, problem: &dyn Transcribed) -> Option<&Multipliers> {
         let found = self.earlier.as_ref().filter(|_| self.start.is_empty())?.multipliers.as_ref()?;
         let same = (found.n, found.constraints.len()) == (problem.n(), problem.m());
-        (same && found.shooting == self.shots.is_some()).then_some(found)
+        (same && found.shooting != self.transcription.is_collocation()).then_some(found)
     }
 }

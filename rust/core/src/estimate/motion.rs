@@ -7,7 +7,7 @@ use super::fit::Fit;
 use super::refine::{in_parts, order_of};
 use super::run::Watch;
 use super::segments::Motion;
-use super::{Earlier, Estimation, Path, Start};
+use super::{Earlier, Estimation, Path, Start, Transcription};
 use crate::condition::End;
 use crate::dense::largest;
 use crate::error::{Error, ErrorKind};
@@ -73,8 +73,9 @@ impl Estimation<'_> {
     /// Whether the mesh is to follow the motion: unless said otherwise, where it has one segment between samples, samples
     /// are few, and the parameters tell where the motion begins.
     pub(super) fn follows_motion(&self) -> bool {
-        let one_between = || matches!(&self.transcription.grid[..], [Grid::Samples(1)]);
-        if self.shots.is_some() || !self.moving_mesh.unwrap_or_else(one_between) {
+        let Transcription::Collocation(settings) = &self.transcription else { return false };
+        let one_between = || matches!(&settings.grid[..], [Grid::Samples(1)]);
+        if !self.moving_mesh.unwrap_or_else(one_between) {
             return false;
         }
         let known = |state: &str| {
@@ -135,7 +136,7 @@ impl Estimation<'_> {
         accuracy: Accuracy,
         watch: &mut Watch<'_>,
     ) -> Result<Option<Fit>, Error> {
-        let order = self.transcription.order;
+        let order = self.transcription.collocation().order;
         let mut local = accuracy.local;
         let mut at = values.clone();
         let (mut fit, mut sound): (Option<Fit>, Option<Fit>) = (None, None);

@@ -25,6 +25,7 @@ pub trait Solver: fmt::Debug + Sync {
 
 /// Where a solver begins.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct Beginning<'a> {
     /// Variables.
     pub xi: &'a [f64],

@@ -34,6 +34,7 @@ const UNKNOWN: &str = "converged on this mesh, but there was no time left to see
 
 /// One pass of a refinement: the transcription, and how exact it was.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct RefinementStep {
     /// Points of a segment.
     pub order: usize,
@@ -51,6 +52,7 @@ pub struct RefinementStep {
 
 /// The passes of a refined estimation, the first as asked for, the last the one that the fit holds.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Refinement {
     /// Of the integration error of a segment, in units of the noise.
     pub tolerance: f64,
@@ -133,8 +135,8 @@ impl Estimation<'_> {
 
     /// The same estimation on another mesh.
     pub(super) fn on_grid(&self, order: usize, grid: Vec<Grid>) -> Self {
-        let transcription = Settings { order, grid, ..self.transcription.clone() };
-        Estimation { transcription, moving_mesh: Some(false), ..self.clone() }
+        let settings = Settings { order, grid, ..self.transcription.collocation() };
+        Estimation { transcription: settings.into(), moving_mesh: Some(false), ..self.clone() }
     }
 
     /// The same estimation from the end of a fit of this problem on another mesh: no regression is needed, as the path is

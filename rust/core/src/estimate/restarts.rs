@@ -1,13 +1,12 @@
 //! Restarts from other parameters: where samples are few, the likelihood has many maxima.
 
-use std::time::Duration;
-
 use super::Estimation;
 use super::draws::Draws;
 use super::fit::Fit;
 use super::injection::Injection;
 use super::motion::{Accuracy, FAR, FINAL, SEARCH, Values};
 use super::run::Watch;
+use super::search::Search;
 use crate::error::Error;
 use crate::interrupt::current;
 use crate::solver::Status;
@@ -170,47 +169,5 @@ impl Estimation<'_> {
         let runs = if fit.feasible { self.simulated(&fit.values(), SEARCH.tolerance) } else { None };
         let known = runs.is_some_and(|runs| fit.departure(&runs) <= FAR);
         if known { fit.log_likelihood } else { f64::NEG_INFINITY }
-    }
-}
-
-/// The state of a search.
-pub(super) struct Search<'a> {
-    /// The best end so far, and its log-likelihood.
-    pub fit: Fit,
-    pub likelihood: f64,
-    /// Sums over all runs.
-    pub iterations: usize,
-    pub time: Duration,
-    /// Restarts in a row without a gain, those of them that returned in a row, and those that ever did.
-    pub without: usize,
-    returns: usize,
-    again: usize,
-    /// Where it began, and the random draws.
-    pub values: Values,
-    pub draws: Draws<'a>,
-}
-
-impl Search<'_> {
-    /// Whether the time is over, or the user has stopped it.
-    pub(super) fn is_stopped(&self) -> bool {
-        self.fit.status.was_stopped() || current().stops()
-    }
-
-    /// Returns the parameters of the best end.
-    pub(super) fn best(&self) -> Values {
-        let of_fit = |v: &(String, f64)| (v.0.clone(), self.fit.parameter(&v.0).map_or(v.1, |e| e.value));
-        self.values.iter().map(of_fit).collect()
-    }
-
-    /// Adds the effort of other runs.
-    pub(super) fn count(&mut self, iterations: usize, time: Duration) {
-        self.iterations += iterations;
-        self.time += time;
-    }
-
-    /// Takes a better end from elsewhere.
-    pub(super) fn take(&mut self, fit: Fit, likelihood: f64) {
-        (self.fit, self.likelihood) = (fit, likelihood);
-        (self.without, self.returns, self.again) = (0, 0, 0);
     }
 }

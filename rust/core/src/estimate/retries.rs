@@ -86,7 +86,11 @@ impl Estimation<'_> {
         let many = self.solver.max_iterations >= Settings::default().max_iterations;
         let near = self.earlier.as_ref().is_some_and(|e| e.near);
         let kinks = self.smooth_kinks && !self.model.kinks().is_empty();
-        many && !near && !kinks && self.shots.is_none() && self.own_solver.is_none() && !self.follows_motion()
+        many && !near
+            && !kinks
+            && self.transcription.is_collocation()
+            && self.own_solver.is_none()
+            && !self.follows_motion()
     }
 
     /// The same estimation in another way; `None` where its options forbid it, or where it is what was done.
@@ -115,7 +119,7 @@ impl Estimation<'_> {
     pub(super) fn with_noise_first(&self, fit: Fit, watch: &mut Watch<'_>) -> Result<Fit, Error> {
         let outputs = || self.model.outputs.iter().map(|o| o.name.as_str());
         let known = outputs().any(|name| matches!(self.noise.scale_of(name), Some(Scale::Known(_))));
-        if self.shots.is_some() || known || matches!(self.noise.joint, Joint::Known(_)) {
+        if !self.transcription.is_collocation() || known || matches!(self.noise.joint, Joint::Known(_)) {
             return Ok(fit);
         }
         let mut held = NoiseModel::new();

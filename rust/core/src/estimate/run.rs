@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::outside::Beginning;
-use super::{Estimation, Fit, Problem, Transcription};
+use super::{Estimation, Fit, Problem};
 use crate::error::Error;
 use crate::initial::{Initial, solve};
 use crate::interrupt::{Cause, Interrupt, current};
@@ -60,7 +60,9 @@ impl Estimation<'_> {
     /// The fit with the kinks of the model as they are, on a mesh that is refined where that was asked for.
     pub(super) fn solve_refined(&self, watch: &mut Watch<'_>) -> Result<Fit, Error> {
         match self.refine {
-            Some(tolerance) if self.shots.is_none() => self.solve_by_refinement(tolerance, watch),
+            Some(tolerance) if self.transcription.is_collocation() => {
+                self.solve_by_refinement(tolerance, watch)
+            }
             _ => {
                 let mut fit = self.solve_on_mesh(watch)?;
                 if fit.feasible && !fit.status.was_stopped() && !current().stops() {
@@ -110,20 +112,20 @@ impl Estimation<'_> {
 
     /// The same with these scalings held.
     fn solve_scaled(&self, scalings: &[Scaling], watch: &mut Watch<'_>) -> Result<Fit, Error> {
-        let transcription = self.transcription();
         let noise = self.checked_noise()?;
-        let problem = transcription.pose(self.model, self.experiments, noise, self.noise.per_experiment)?;
+        let problem =
+            self.transcription.pose(self.model, self.experiments, noise, self.noise.per_experiment)?;
         let posed = problem.transcribed();
         let xi = self.starting_point(posed)?;
         let further = match self.earlier {
             Some(_) => Vec::new(),
             None => self.given().elsewhere(posed, &xi, &self.parameters()?),
         };
-        if !further.is_empty() && self.shots.is_some() {
+        if !further.is_empty() && !self.transcription.is_collocation() {
             // A path that follows the measurements is found by collocation; an integration from poor values is none.
             let solver = Settings { time_limit: self.solver.time_limit, ..Settings::default() };
             let first = Estimation {
-                shots: None,
+                transcription: self.transcription.collocation().into(),
                 solver,
                 own_solver: None,
                 regression: None,
@@ -140,20 +142,14 @@ impl Estimation<'_> {
             }
         }
         let solution = if further.is_empty() {
-            self.solve_from(&problem, &xi, self.shots.is_none() && self.states_known(), watch)?
+            self.solve_from(&problem, &xi, self.transcription.is_collocation() && self.states_known(), watch)?
         } else {
             self.best_of(&problem, &further, watch)?
         };
         let limit = self.time_for_errors(&solution);
+        let transcription = self.transcription.clone();
         let fit = Fit::new(self.model, self.experiments, posed, solution, scalings, (transcription, &limit));
         Ok(Fit { noise: self.noise.clone(), ..fit })
-    }
-
-    fn transcription(&self) -> Transcription {
-        match &self.shots {
-            None => Transcription::Collocation(self.transcription.clone()),
-            Some(shots) => Transcription::Shooting(shots.clone()),
-        }
     }
 
     /// The limit of the standard errors, which would not come to an end where little time is left.
@@ -178,7 +174,8 @@ impl Estimation<'_> {
         let posed = problem.transcribed();
         let multipliers = self.multipliers(posed);
         let near = self.earlier.as_ref().is_some_and(|e| e.near);
-        let sparse = !known && self.shots.is_none() && self.few_samples() && !self.states_known();
+        let sparse =
+            !known && self.transcription.is_collocation() && self.few_samples() && !self.states_known();
         let found = match self.own_solver {
             Some(solver) => {
                 let stopped = || Solution::without_a_run(posed, xi, multipliers.map(|m| &m.constraints[..]));

@@ -35,6 +35,7 @@ const STILL: f64 = 1e-9;
 
 /// One pass over a smoothed model.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SmoothingStep {
     /// Width of each kink as a part of the standard deviation of its argument over the path.
     pub part: f64,
@@ -46,28 +47,54 @@ pub struct SmoothingStep {
     pub log_likelihood: f64,
 }
 
+/// The width over which a kink is smoothed.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct KinkWidth {
+    /// The kink in words.
+    pub kink: String,
+    /// The width.
+    pub width: f64,
+    /// Its unit, empty where it is not known.
+    pub unit: String,
+}
+
+/// The part of a parameter that smoothing leaves in error.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct LeftInError {
+    /// The parameter.
+    pub name: String,
+    /// Its change with widths of zero, extrapolated from the last two passes in proportion to the width; NaN after a single
+    /// pass.
+    pub change: f64,
+    /// Its standard error.
+    pub std_error: f64,
+}
+
 /// How kinks and jumps of the state equations were smoothed, pass after pass over narrower widths.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Smoothing {
-    /// Each kink in words, its width in the last pass, and the unit of that, empty where it is not known.
-    pub widths: Vec<(String, f64, String)>,
+    /// The width of each kink in the last pass.
+    pub widths: Vec<KinkWidth>,
     /// The passes, the last the one that the fit holds.
     pub steps: Vec<SmoothingStep>,
-    /// Each parameter, its change with widths of zero, extrapolated from the last two passes in proportion to the width (NaN
-    /// after a single pass), and its standard error.
-    pub left: Vec<(String, f64, f64)>,
+    /// What is left in error of each parameter.
+    pub left: Vec<LeftInError>,
 }
 
 impl Smoothing {
     /// Returns the parameters whose remaining error exceeds so many standard errors, and its size in these.
     pub fn beyond(&self, errors: f64) -> Vec<(&str, f64)> {
-        let parts = self.left.iter().filter(|l| l.2 > 0.0).map(|l| (&*l.0, l.1 / l.2));
+        let parts = self.left.iter().filter(|l| l.std_error > 0.0);
+        let parts = parts.map(|l| (&*l.name, l.change / l.std_error));
         parts.filter(|p| p.1.is_nan() || p.1.abs() > errors).collect()
     }
 
     /// Returns the widths in words.
     pub fn description(&self) -> String {
-        let one = |(kink, width, unit): &(String, f64, String)| {
+        let one = |KinkWidth { kink, width, unit }: &KinkWidth| {
             format!("{kink} over {} {unit}", short(*width, 2)).trim_end().to_owned()
         };
         self.widths.iter().map(one).collect::<Vec<_>>().join(", ")
@@ -147,7 +174,11 @@ impl Estimation<'_> {
         };
         let steps: Vec<SmoothingStep> = passes.iter().map(step).collect();
         let (part, last) = passes.into_iter().next_back().expect("there is a pass");
-        let width = |(kink, spread): (Kink, &f64)| (kink.label(), part * spread, kink.unit(self.model));
+        let width = |(kink, spread): (Kink, &f64)| KinkWidth {
+            kink: kink.label(),
+            width: part * spread,
+            unit: kink.unit(self.model),
+        };
         let widths = self.model.kinks().into_iter().zip(spreads).map(width).collect();
         let smoothing = Smoothing { widths, steps, left };
         let mut warnings = last.warnings.clone();
@@ -188,14 +219,14 @@ impl Estimation<'_> {
 }
 
 /// What smoothing leaves in error: by how much estimates change as widths go to zero, and standard errors.
-fn left_in_error(passes: &[Pass]) -> Vec<(String, f64, f64)> {
+fn left_in_error(passes: &[Pass]) -> Vec<LeftInError> {
     let (part, last) = &passes[passes.len() - 1];
     let before = passes.len().checked_sub(2).map(|k| &passes[k]);
     let free = last.parameters.iter().filter(|e| e.bound != Some(Bound::Fixed));
     free.map(|e| {
         let earlier = before.and_then(|(wider, fit)| Some((wider, fit.parameter(&e.name)?.value)));
-        let left = earlier.map_or(f64::NAN, |(wider, value)| (e.value - value) * part / (wider - part));
-        (e.name.clone(), left, e.std_error)
+        let change = earlier.map_or(f64::NAN, |(wider, value)| (e.value - value) * part / (wider - part));
+        LeftInError { name: e.name.clone(), change, std_error: e.std_error }
     })
     .collect()
 }
@@ -207,10 +238,11 @@ fn settled(passes: &[Pass]) -> bool {
         return false;
     }
     let (now, before) = (left_in_error(passes), left_in_error(&passes[..passes.len() - 1]));
-    let known = now.iter().filter(|l| l.2 > 0.0 && l.1.is_finite());
-    known.into_iter().all(|(name, left, error)| {
-        let earlier = before.iter().find(|b| b.0 == *name);
-        left.abs() <= SETTLED * error && earlier.is_none_or(|b| b.1.abs() <= RATIO * SETTLED * b.2)
+    let mut known = now.iter().filter(|l| l.std_error > 0.0 && l.change.is_finite());
+    known.all(|l| {
+        let earlier = before.iter().find(|b| b.name == l.name);
+        l.change.abs() <= SETTLED * l.std_error
+            && earlier.is_none_or(|b| b.change.abs() <= RATIO * SETTLED * b.std_error)
     })
 }
 

@@ -5,6 +5,7 @@ use super::Estimation;
 use super::earlier::Earlier;
 use crate::error::{Error, did_you_mean};
 use crate::experiment::Experiment;
+use crate::index::{ExperimentId, VariableId};
 use crate::interpolate::{Interpolation, interpolate};
 use crate::model::{Model, Parameter, Variable};
 use crate::noise::SIGMA;
@@ -13,6 +14,7 @@ use crate::problem::Transcribed;
 /// A starting value. It is made from a number, from the path of a state in the only experiment, or from
 /// its paths in all of them.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Start {
     /// A number, for a state at all times.
     Value(f64),
@@ -252,7 +254,9 @@ impl Estimation<'_> {
         let own = self.experiments.iter().map(|e| given.parameters(Some(&e.name)));
         let own: Vec<Vec<f64>> = own.collect::<Result<_, _>>()?;
         let shared = given.parameters(None)?;
-        point(problem, &shared, &own, |e, times| given.states(e, &self.experiments[e], times, &own[e]))
+        point(problem, &shared, &own, |ExperimentId(e), times| {
+            given.states(e, &self.experiments[e], times, &own[e])
+        })
     }
 }
 
@@ -262,22 +266,22 @@ pub fn point(
     problem: &dyn Transcribed,
     shared: &[f64],
     own: &[Vec<f64>],
-    states: impl Fn(usize, &[f64]) -> Result<Vec<Vec<f64>>, Error>,
+    states: impl Fn(ExperimentId, &[f64]) -> Result<Vec<Vec<f64>>, Error>,
 ) -> Result<Vec<f64>, Error> {
     let posed = problem.posed();
     let mut xi = Vec::with_capacity(problem.n());
-    for (i, p) in posed.parameters.iter().enumerate() {
-        xi.push(if i >= posed.n_model_parameters {
+    for (i, p) in posed.parameters.numbered() {
+        xi.push(if i.0 >= posed.n_model_parameters {
             p.start
         } else {
-            let values = posed.estimands.experiment[i].map_or(shared, |e| &own[e]);
-            posed.estimands.transforms[i].inverse(values[posed.estimands.parameter[i]])
+            let values = posed.estimands.experiment[i].map_or(shared, |e| &own[e.0]);
+            posed.estimands.transforms[i].inverse(values[posed.estimands.parameter[i].0])
         });
     }
     xi.resize(problem.n(), 0.0);
     let n_x = problem.layout().n_x;
-    for e in 0..own.len() {
-        let first = problem.layout().state(problem.layout().first_point[e]);
+    for e in (0..own.len()).map(ExperimentId) {
+        let VariableId(first) = problem.layout().state(problem.layout().first_point[e]);
         for (i, path) in states(e, problem.point_times(e))?.iter().enumerate() {
             path.iter().zip(xi[first + i..].iter_mut().step_by(n_x)).for_each(|(x, to)| *to = *x);
         }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use crate::collocation::{self, Collocation};
 use crate::error::Error;
 use crate::experiment::Experiment;
+use crate::mesh::Grid;
 use crate::model::Model;
 use crate::noise::Noise;
 use crate::problem::Transcribed;
@@ -12,6 +13,7 @@ use crate::shooting::{Shooting, Shots};
 
 /// A transcription with its options.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Transcription {
     /// By collocation.
     Collocation(collocation::Settings),
@@ -25,10 +27,52 @@ impl Default for Transcription {
     }
 }
 
+impl From<collocation::Settings> for Transcription {
+    fn from(settings: collocation::Settings) -> Self {
+        Transcription::Collocation(settings)
+    }
+}
+
+impl From<Shots> for Transcription {
+    fn from(shots: Shots) -> Self {
+        Transcription::Shooting(shots)
+    }
+}
+
 impl Transcription {
     /// Whether it is collocation.
     pub fn is_collocation(&self) -> bool {
         matches!(self, Transcription::Collocation(_))
+    }
+
+    /// Returns the options of collocation; where it is shooting, the usual ones on its threads.
+    pub(super) fn collocation(&self) -> collocation::Settings {
+        match self {
+            Transcription::Collocation(settings) => settings.clone(),
+            Transcription::Shooting(shots) => collocation::Settings::default().threads(shots.threads),
+        }
+    }
+
+    /// Returns the number of threads; 0 for as many as there are cores.
+    pub(super) fn threads(&self) -> usize {
+        match self {
+            Transcription::Collocation(settings) => settings.threads,
+            Transcription::Shooting(shots) => shots.threads,
+        }
+    }
+
+    pub(super) fn threads_mut(&mut self) -> &mut usize {
+        match self {
+            Transcription::Collocation(settings) => &mut settings.threads,
+            Transcription::Shooting(shots) => &mut shots.threads,
+        }
+    }
+
+    pub(super) fn grids_mut(&mut self) -> &mut Vec<Grid> {
+        match self {
+            Transcription::Collocation(settings) => &mut settings.grid,
+            Transcription::Shooting(shots) => &mut shots.grid,
+        }
     }
 
     /// The nonlinear program.

@@ -69,7 +69,7 @@ impl Flow {
 
     /// States and noises of the intervals of a group.
     fn own<'a>(&self, group: &Group, x: &'a [f64], e: &'a [f64]) -> (&'a [f64], &'a [f64]) {
-        let of = |all: &'a [f64], size: usize| &all[group.node * size..][..group.n * size];
+        let of = |all: &'a [f64], size: usize| &all[group.node.0 * size..][..group.n * size];
         (of(x, self.n()), of(e, self.m()))
     }
 
@@ -156,7 +156,7 @@ impl Flow {
             memory.sums.clear();
             memory.sums.resize(width * width * LANES, 0.0);
             if !self.f.hessian_pattern.is_empty() {
-                let end = |lane: Lane, r: usize| lambda[group.node_of(lane) * n + r];
+                let end = |lane: Lane, r: usize| lambda[group.node_of(lane).0 * n + r];
                 let done = flow.backward::<LANES>(memory, |_, _| 0.0, end)
                     && flow.curvature::<LANES>(&uniforms[2], width, memory);
                 if !done {

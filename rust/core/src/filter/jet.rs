@@ -97,7 +97,7 @@ impl Jets {
                 return None;
             }
             let (mut start, mut constants) = (Vec::new(), Vec::new());
-            for k in group.node..group.node + group.n {
+            for k in group.node.0..group.node.0 + group.n {
                 start.extend(&x[k * n..(k + 1) * n]);
                 start.extend((0..n * width).map(|at| f64::from(u8::from(at / width == at % width))));
                 start.resize(start.len() + all - flat, 0.0);
@@ -132,7 +132,7 @@ impl Jets {
         let interrupt = current();
         for (group, points) in groups.iter().zip(points) {
             let end = |lane: Lane, r: usize| {
-                let k = group.node_of(lane);
+                let k = group.node_of(lane).0;
                 match r.checked_sub(n) {
                     None => weights.end[k * n + r],
                     Some(r) if r < n * width => weights.b[k * n * width + r],
@@ -145,7 +145,7 @@ impl Jets {
                 return None;
             }
             let add = |all: &mut [f64], from: &[f64], size: usize| {
-                let rows = &mut all[group.node * size..][..group.n * size];
+                let rows = &mut all[group.node.0 * size..][..group.n * size];
                 rows.iter_mut().enumerate().for_each(|(at, v)| *v += from[at % size * LANES + at / size]);
             };
             add(to.x, &memory.ax, n);

@@ -75,7 +75,7 @@ pub(super) fn intervals(
     let values: Vec<Vec<f64>> = (0..=substeps * stages).map(|point| legendre(share(point), terms)).collect();
     for group in &mut groups {
         let root = |lane: usize| {
-            let first = group.node + lane.min(group.n - 1);
+            let first = group.node.0 + lane.min(group.n - 1);
             (experiment.t[first + 1] - experiment.t[first]).sqrt()
         };
         let roots: Vec<f64> = (0..LANES).map(root).collect();

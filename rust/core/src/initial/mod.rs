@@ -64,7 +64,7 @@ fn best(
     let program = Program::new(nlp, start);
     let point = Point::first(&program, start)?;
     if initial == Initial::Paths {
-        let (mut newton, mut ending, consistent) = along_paths(program, point, settings, watch)?;
+        let Along { mut newton, mut ending, consistent } = along_paths(program, point, settings, watch)?;
         if consistent {
             // A path that leaves the equations may find a way where a consistent one has none, as from one period of an
             // oscillation to another. Not long, where it leads nowhere.
@@ -118,22 +118,30 @@ const OPPOSITE: f64 = 0.3;
 /// A run that is not better by more than this is no other optimum.
 const BETTER: f64 = 1e-3;
 
+/// A run along paths that satisfy the equations.
+struct Along<'a> {
+    newton: Newton<'a>,
+    ending: Ending,
+    /// Whether there was a consistent path to begin with.
+    consistent: bool,
+}
+
 /// The run from where steps along paths that satisfy the equations lead. Where parameters end at bounds, as rates do that are
 /// fast enough, the likelihood is flat there and says nothing of what lies beyond: each is started once more from the other
-/// half of its range. Whether there was a consistent path to begin with.
+/// half of its range.
 fn along_paths<'a>(
     program: Program<'a>,
     point: Point,
     settings: &Settings,
     watch: &mut Watch<'_>,
-) -> Result<(Newton<'a>, Ending, bool), NotFinite> {
+) -> Result<Along<'a>, NotFinite> {
     let nlp = program.nlp;
     let mut newton = Newton::new(program, point, None, settings);
     let mut ending = match approached(nlp, &mut newton, settings, watch)? {
         Some(ending) => ending,
         None => {
             let ending = newton.minimise(watch)?;
-            return Ok((newton, ending, false));
+            return Ok(Along { newton, ending, consistent: false });
         }
     };
     let mut tried: Vec<usize> = Vec::new();
@@ -172,7 +180,7 @@ fn along_paths<'a>(
             _ => newton.take_over(&mut other),
         }
     }
-    Ok((newton, ending, true))
+    Ok(Along { newton, ending, consistent: true })
 }
 
 /// The end of an approach, and of the loop from there where it led to an optimum; back there, where it leads nowhere from there.

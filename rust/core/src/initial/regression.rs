@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::normal::Normal;
 use crate::dense::{backward, cholesky, forward};
+use crate::index::VariableId;
 use crate::nlp::{Reach, Separable};
 use crate::solver::{Point, Program};
 
@@ -100,7 +101,7 @@ impl<'a> Regression<'a> {
             program,
             nlp,
             trial: point.clone(),
-            nonlinear: free.iter().map(|i| nonlinear.contains(i)).collect(),
+            nonlinear: free.iter().map(|&i| nonlinear.contains(&VariableId(i))).collect(),
             first: point.xi[profiled.clone()].to_vec(),
             normal: Normal::new(nlp.jacobian_structure(), &place, free.len(), program.units.rows),
             n_x: chains.n_x,

@@ -3,6 +3,7 @@
 //! 10(2), 1973). The states are held, so that many values can be tried before one trajectory is computed.
 
 use super::regression::{ENOUGH, LOST, Regression};
+use crate::index::VariableId;
 use crate::solver::Point;
 
 /// Passes in which the weights settle with the nonlinear parameters held, and most after.
@@ -56,8 +57,8 @@ impl Regression<'_> {
     /// Other places to start from with their criteria, the best first: of so many, those where the equations fit
     /// best with the linear parameters found, by the noise and weights of here, gone on from.
     fn other_places(&mut self, start: &[f64], (number, tried): (u64, usize)) -> Vec<(f64, Point)> {
-        let nonlinear: Vec<usize> =
-            self.free.iter().zip(&self.nonlinear).filter(|f| *f.1).map(|f| *f.0).collect();
+        let nonlinear = self.free.iter().zip(&self.nonlinear).filter(|f| *f.1);
+        let nonlinear: Vec<VariableId> = nonlinear.map(|f| VariableId(*f.0)).collect();
         let weights = self.weights_of_defects();
         let mut start = start.to_vec();
         let noise = self.nlp.profiled();
@@ -84,7 +85,7 @@ impl Regression<'_> {
         ends
     }
 
-    fn begin_at(&mut self, start: &[f64], variables: &[usize], draw: u64) -> bool {
+    fn begin_at(&mut self, start: &[f64], variables: &[VariableId], draw: u64) -> bool {
         self.here.xi.copy_from_slice(start);
         self.nlp.move_elsewhere(&mut self.here.xi, variables, draw);
         self.here.evaluate(self.program).is_ok()

@@ -3,18 +3,19 @@
 use super::steps::{Place, Track, hermite};
 use super::tableau::Tableau;
 use crate::experiment::Experiment;
+use crate::index::{ExperimentId, PointId};
 
 /// Consecutive segments of an experiment, one a *lane*: W lanes. Stages are the *points*, s a step,
 /// and one more where segments end. Where segments differ in steps, the shorter ones end with steps of no length.
 #[derive(Clone, Debug)]
 pub(crate) struct Group {
-    pub(crate) experiment: usize,
+    pub(crate) experiment: ExperimentId,
     /// Lanes, W; those without a segment of their own repeat the last.
     pub(crate) width: usize,
     /// Number of segments.
     pub(crate) n: usize,
     /// Node at which the first starts, counted over all experiments.
-    pub(crate) node: usize,
+    pub(crate) node: PointId,
     /// Whether no node follows the last segment.
     pub(crate) last: bool,
     /// Number of steps.
@@ -35,8 +36,8 @@ pub(crate) struct Lane(pub(crate) usize);
 /// A sample of a group.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sampled {
-    /// Its index, counted over all experiments.
-    pub(crate) index: usize,
+    /// Its point, counted over all experiments.
+    pub(crate) point: PointId,
     pub(crate) lane: Lane,
     pub(crate) step: usize,
     /// Weights of x and ẋ at the beginning of the step and at its end; `None` for x at the beginning.
@@ -47,11 +48,11 @@ pub(crate) struct Sampled {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Origin {
     /// Number of the experiment.
-    pub(crate) experiment: usize,
+    pub(crate) experiment: ExperimentId,
     /// Its first node.
-    pub(crate) node: usize,
+    pub(crate) node: PointId,
     /// Its first sample.
-    pub(crate) sample: usize,
+    pub(crate) sample: PointId,
     /// Whether no node follows its last segment.
     pub(crate) last: bool,
 }
@@ -98,7 +99,7 @@ impl Group {
                     [w[0], w[1] * h, w[2], w[3] * h]
                 };
                 let weights = place.share.map(scaled);
-                Sampled { index: origin.sample + k, lane: Lane(lane), step: place.step, weights }
+                Sampled { point: origin.sample + k, lane: Lane(lane), step: place.step, weights }
             };
             let samples: Vec<Sampled> = own.map(sampled).collect();
             let times: Vec<f64> = (0..(steps * stages + 1) * width)
@@ -160,7 +161,7 @@ impl Group {
     }
 
     /// The node at which a segment starts.
-    pub(crate) fn node_of(&self, lane: Lane) -> usize {
+    pub(crate) fn node_of(&self, lane: Lane) -> PointId {
         self.node + lane.0
     }
 

@@ -7,6 +7,7 @@ use crate::mesh::{Grid, MOST, divided, edges};
 /// The division of segments into steps (Eq. multiple_shooting_mesh). In a record with inputs that are held between
 /// their samples, steps also end where these jump and at the samples.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Steps {
     /// Steps from sample to sample, each interval in so many; they also end where a segment does.
     Samples(usize),

@@ -2,6 +2,7 @@
 
 /// A Runge-Kutta method of fixed steps (Eq. integ_method).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Integrator {
     /// Euler's, of order 1.
     Euler,

@@ -77,7 +77,7 @@ fn scales(nlp: &dyn Nlp, units: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let mut columns = vec![1.0; border];
     columns.extend(units.iter().copied().cycle().take(nlp.n() - border));
     let at_ends: Vec<f64> =
-        nlp.chains().into_iter().flat_map(Chains::boundary_states).map(|s| units[s]).collect();
+        nlp.chains().into_iter().flat_map(Chains::boundary_states).map(|s| units[s.0]).collect();
     let mut rows: Vec<f64> = units.iter().copied().cycle().take(nlp.m() - at_ends.len()).collect();
     rows.extend(at_ends);
     (columns, rows)

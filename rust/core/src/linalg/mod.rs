@@ -1,5 +1,7 @@
 //! Newton systems: the seam of [`KktSolver`] and [`Factor`], and its implementations.
 
+use crate::index::{ConstraintId, VariableId};
+
 pub mod arrow;
 mod choose;
 pub mod sparse;
@@ -11,10 +13,10 @@ pub use choose::{KktChoice, kkt_for};
 #[non_exhaustive]
 pub enum KktError {
     /// A constraint depends on others.
-    #[error("constraint {row} depends on others")]
+    #[error("constraint {} depends on others", row.0)]
     Dependent {
         /// The constraint.
-        row: usize,
+        row: ConstraintId,
     },
     /// The boundary conditions determine more than the states at the ends of a chain, which is all that
     /// this factorisation lets them determine.
@@ -47,6 +49,9 @@ impl Curvature {
         self == Curvature::default()
     }
 }
+
+/// Variables and their part in a direction, in units of the root of the diagonal, the greatest first.
+pub type Direction = Vec<(VariableId, f64)>;
 
 /// The entries of H and A, at the places of the Nlp's structures.
 #[derive(Clone, Copy, Debug)]
@@ -117,13 +122,12 @@ pub trait Factor {
     /// that the last `finish` held, each at its entry of `to`; and the forces that hold these: z = p − H d − Aᵀλ.
     fn solve_reduced(&mut self, _to: &[f64], _d: &mut [f64], _z: &mut [f64]) {}
 
-    /// Directions of no curvature, or negative, found by the last `finish`: for each, variables and
-    /// their part in it (in units of the diagonal's root), the greatest first.
-    fn weak_directions(&self) -> &[Vec<(usize, f64)>];
+    /// Directions of no curvature, or negative, found by the last `finish`.
+    fn weak_directions(&self) -> &[Direction];
 
     /// The block of the inverse of the KKT matrix between some variables, row-major k × k: with H the
     /// observed information, their covariance. Rows of held variables are zero.
-    fn covariance(&mut self, wanted: &[usize], out: &mut [f64]) {
+    fn covariance(&mut self, wanted: &[VariableId], out: &mut [f64]) {
         covariance_by_solving(self, wanted, out);
     }
 
@@ -138,7 +142,7 @@ pub trait Factor {
 }
 
 /// The covariance by one solution for each variable.
-fn covariance_by_solving<F: Factor + ?Sized>(kkt: &mut F, wanted: &[usize], out: &mut [f64]) {
+fn covariance_by_solving<F: Factor + ?Sized>(kkt: &mut F, wanted: &[VariableId], out: &mut [f64]) {
     let (n, m) = kkt.sizes();
     let (mut p, q) = (vec![0.0; n], vec![0.0; m]);
     let (mut d, mut lambda) = (vec![0.0; n], vec![0.0; m]);

@@ -24,10 +24,17 @@ fn power_of_2(k: u64) -> f64 {
     f64::from_bits(k.wrapping_add(1023) << 52)
 }
 
-/// Returns for x = r + k·ln 2: sinh(r), cosh(r) − 1, and a quarter of 2ᵏ − 2⁻ᵏ and 2ᵏ + 2⁻ᵏ. With them there is no
-/// need for the quotient 1/exp(x).
+/// sinh(r), cosh(r) − 1, and a quarter of 2ᵏ − 2⁻ᵏ and 2ᵏ + 2⁻ᵏ.
+struct Parts {
+    s: f64,
+    c: f64,
+    difference: f64,
+    sum: f64,
+}
+
+/// The parts of x = r + k·ln 2. With them there is no need for the quotient 1/exp(x).
 #[inline(always)]
-fn parts(r: f64, k: u64) -> (f64, f64, f64, f64) {
+fn parts(r: f64, k: u64) -> Parts {
     let z = r * r;
     let sinh = (r * z).mul_add(polynomial(z, SINH), r);
     let cosh_less_1 = (z * z).mul_add(polynomial(z, COSH), 0.5 * z);
@@ -35,7 +42,7 @@ fn parts(r: f64, k: u64) -> (f64, f64, f64, f64) {
     let up = power_of_2(k.wrapping_sub(2));
     // 2⁻ᵏ no longer counts long before it would be subnormal.
     let down = power_of_2(0u64.wrapping_sub(if k > 100 { 100 } else { k }).wrapping_sub(2));
-    (sinh, cosh_less_1, up - down, up + down)
+    Parts { s: sinh, c: cosh_less_1, difference: up - down, sum: up + down }
 }
 
 /// |x|, or a number whose sinh and cosh overflow just as those of x.
@@ -51,7 +58,7 @@ pub fn sinh(x: f64) -> f64 {
     let (r, k) = reduce_by_ln2(large);
     // Below 1 the parts would cancel, and the polynomial serves alone.
     let alone = large < 1.0;
-    let (s, c, difference, sum) = parts(if alone { large } else { r }, k);
+    let Parts { s, c, difference, sum } = parts(if alone { large } else { r }, k);
     let quarters = difference + sum.mul_add(s, difference * c);
     flip(if alone { s } else { quarters + quarters }, x.to_bits())
 }
@@ -60,7 +67,7 @@ pub fn sinh(x: f64) -> f64 {
 #[inline(always)]
 pub fn cosh(x: f64) -> f64 {
     let (r, k) = reduce_by_ln2(bounded(x));
-    let (s, c, difference, sum) = parts(r, k);
+    let Parts { s, c, difference, sum } = parts(r, k);
     2.0 * (sum + difference.mul_add(s, sum * c))
 }
 

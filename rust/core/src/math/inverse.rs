@@ -41,9 +41,16 @@ const TAN_PI_8: f64 = 0.41421356237309503;
 const EIGHTH: [f64; 2] = [0.5 * HALF_PI[0], 0.5 * HALF_PI[1]];
 
 /// Whether |x| is near 1, s = |x| or there √((1 − |x|)/2), the sine of half
-/// the angle from x to 1, in two parts, and s².
+/// the angle from x to 1, in two parts, and z = s².
+struct HalfAngle {
+    near_one: bool,
+    s: f64,
+    s_low: f64,
+    z: f64,
+}
+
 #[inline(always)]
-fn half_angle(x: f64) -> (bool, f64, f64, f64) {
+fn half_angle(x: f64) -> HalfAngle {
     let x = x.abs();
     let near_one = x > 0.5;
     let z = if near_one { 0.5 - 0.5 * x } else { x * x };
@@ -51,7 +58,7 @@ fn half_angle(x: f64) -> (bool, f64, f64, f64) {
     // What the root was rounded by; the addend spares a division 0/0.
     let root_low = (-root).mul_add(root, z) / (root + root + f64::MIN_POSITIVE);
     let (s, s_low) = if near_one { (root, root_low) } else { (x, 0.0) };
-    (near_one, s, s_low, z)
+    HalfAngle { near_one, s, s_low, z }
 }
 
 /// `base` + `factor`·asin(s + `s_low`) with z = s².
@@ -65,7 +72,7 @@ fn from_base(base: (f64, f64), factor: f64, s: f64, s_low: f64, z: f64) -> f64 {
 /// The arcsine; 0.7 ulp.
 #[inline(always)]
 pub fn asin(x: f64) -> f64 {
-    let (near_one, s, s_low, z) = half_angle(x);
+    let HalfAngle { near_one, s, s_low, z } = half_angle(x);
     let base = if near_one { (HALF_PI[0], HALF_PI[1]) } else { (0.0, 0.0) };
     let factor = if near_one { -2.0 } else { 1.0 };
     flip(from_base(base, factor, s, s_low, z), x.to_bits())
@@ -74,7 +81,7 @@ pub fn asin(x: f64) -> f64 {
 /// The arccosine; 0.7 ulp.
 #[inline(always)]
 pub fn acos(x: f64) -> f64 {
-    let (near_one, s, s_low, z) = half_angle(x);
+    let HalfAngle { near_one, s, s_low, z } = half_angle(x);
     // π/2 − asin(x); near 1, 2·asin(s); near −1, π − 2·asin(s).
     let turns = if !near_one {
         1.0

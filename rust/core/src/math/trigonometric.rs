@@ -27,8 +27,14 @@ const COS: [f64; 6] = [
 
 /// sin(r) and cos(r), each as a sum of two, for x = r + q·π/2; the low two
 /// bits of q are those of the integer given.
+struct Quarter {
+    s: (f64, f64),
+    c: (f64, f64),
+    q: u64,
+}
+
 #[inline(always)]
-fn quarter(x: f64) -> ((f64, f64), (f64, f64), u64) {
+fn quarter(x: f64) -> Quarter {
     let shifted = x.mul_add(std::f64::consts::FRAC_2_PI, ROUND);
     let q = shifted - ROUND;
     // The first step is exact, for it cancels; so is the product of the
@@ -44,7 +50,7 @@ fn quarter(x: f64) -> ((f64, f64), (f64, f64), u64) {
     let (one, one_low) = two_sum(1.0, -0.5 * z);
     let sin_low = (r * z).mul_add(polynomial(z, SIN), r_low * one);
     let cos_low = (z * z).mul_add(polynomial(z, COS), (-r).mul_add(r_low, one_low));
-    ((r, sin_low), (one, cos_low), shifted.to_bits())
+    Quarter { s: (r, sin_low), c: (one, cos_low), q: shifted.to_bits() }
 }
 
 #[inline(always)]
@@ -59,7 +65,7 @@ fn cos_near(x: f64) -> f64 {
 
 #[inline(always)]
 fn sin_cos_near(x: f64) -> (f64, f64) {
-    let (s, c, q) = quarter(x.abs());
+    let Quarter { s, c, q } = quarter(x.abs());
     let (s, c) = (s.0 + s.1, c.0 + c.1);
     let (s, c) = if q & 1 == 0 { (s, c) } else { (c, s) };
     (flip(s, (q << 62) ^ x.to_bits()), flip(c, q.wrapping_add(1) << 62))
@@ -67,7 +73,7 @@ fn sin_cos_near(x: f64) -> (f64, f64) {
 
 #[inline(always)]
 fn tan_near(x: f64) -> f64 {
-    let (s, c, q) = quarter(x.abs());
+    let Quarter { s, c, q } = quarter(x.abs());
     let (s, c) = (two_sum(s.0, s.1), two_sum(c.0, c.1));
     let (n, d) = if q & 1 == 0 { (s, c) } else { (c, s) };
     let (tan, tan_low) = divide(n, d);

@@ -6,6 +6,8 @@
 //! last variables of the segment before and the border. The objective couples variables of one point,
 //! and points with the border.
 
+use crate::index::{ConstraintId, StateId, VariableId};
+
 /// Variables and constraints in chains of segments.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Chains {
@@ -19,7 +21,7 @@ pub struct Chains {
 
 impl Chains {
     /// Returns for each boundary condition, which follow all other constraints, the state in whose unit it is.
-    pub fn boundary_states(&self) -> impl Iterator<Item = usize> + '_ {
+    pub fn boundary_states(&self) -> impl Iterator<Item = StateId> + '_ {
         self.chains.iter().flat_map(|c| c.boundary.states.iter().copied())
     }
 }
@@ -28,9 +30,9 @@ impl Chains {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Chain {
     /// First variable. The first point's n_x states stand here, the points of the segments follow.
-    pub variable: usize,
+    pub variable: VariableId,
     /// First constraint; one of n_x rows a point, in the order of the points from the second.
-    pub row: usize,
+    pub row: ConstraintId,
     /// Number of segments.
     pub segments: usize,
     /// Points of a segment after its first, m − 1.
@@ -46,9 +48,9 @@ pub struct Chain {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Boundary {
     /// First of the constraints.
-    pub row: usize,
+    pub row: ConstraintId,
     /// For each condition the state in whose unit it is.
-    pub states: Vec<usize>,
+    pub states: Vec<StateId>,
 }
 
 /// A point tied to a segment.
@@ -57,7 +59,7 @@ pub struct Tie {
     /// The segment.
     pub segment: usize,
     /// First of its n_x variables.
-    pub variable: usize,
+    pub variable: VariableId,
     /// First of its n_x constraints.
-    pub row: usize,
+    pub row: ConstraintId,
 }

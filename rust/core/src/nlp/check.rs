@@ -1,6 +1,6 @@
 //! Derivatives against central differences, in the user's names.
 
-use super::{Nlp, NotFinite};
+use super::{ConstraintId, Nlp, NotFinite, VariableId};
 
 /// An entry that differs from its difference quotient.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,7 +23,7 @@ pub fn check_derivatives(
     nlp: &dyn Nlp,
     xi: &[f64],
     lambda: &[f64],
-    columns: &[usize],
+    columns: &[VariableId],
     tolerance: f64,
 ) -> Result<Vec<Mismatch>, NotFinite> {
     let (n, m) = (nlp.n(), nlp.m());
@@ -70,11 +70,11 @@ pub fn check_derivatives(
         nlp.constraints(&high, &mut up)?;
         nlp.constraints(&low, &mut down)?;
         let s = nlp.jacobian_structure();
-        for k in (0..s.len()).filter(|&k| s.columns[k] as usize == j) {
+        for k in (0..s.len()).filter(|&k| s.columns[k] as usize == j.0) {
             column[s.rows[k] as usize] += jacobian[k];
         }
         for i in 0..m {
-            let name = || format!("d({})/d({})", nlp.constraint_name(i), nlp.variable_name(j));
+            let name = || format!("d({})/d({})", nlp.constraint_name(ConstraintId(i)), nlp.variable_name(j));
             compare(column[i], (up[i] - down[i]) / width, &name);
         }
 
@@ -82,14 +82,14 @@ pub fn check_derivatives(
         let s = nlp.hessian_structure();
         for ((&row, &col), value) in s.rows.iter().zip(&s.columns).zip(&hessian) {
             let (row, col) = (row as usize, col as usize);
-            if col == j {
+            if col == j.0 {
                 column[row] += value;
-            } else if row == j {
+            } else if row == j.0 {
                 column[col] += value;
             }
         }
         for i in 0..n {
-            let name = || format!("d²L/d({})d({})", nlp.variable_name(i), nlp.variable_name(j));
+            let name = || format!("d²L/d({})d({})", nlp.variable_name(VariableId(i)), nlp.variable_name(j));
             compare(column[i], (up[i] - down[i]) / width, &name);
         }
     }

@@ -10,6 +10,9 @@ use std::ops::Range;
 
 use crate::threads::prelude::*;
 
+pub use crate::index::{
+    ConstraintId, ExperimentId, IndexVec, Numbering, ParameterId, PointId, StateId, VariableId,
+};
 pub use crate::threads::Threads;
 
 pub use chains::{Boundary, Chain, Chains, Tie};
@@ -123,9 +126,9 @@ pub enum Reach<'a> {
 /// The names of a program in messages, in the user's words.
 pub trait Named {
     /// The user's name for a variable.
-    fn variable_name(&self, i: usize) -> String;
+    fn variable_name(&self, i: VariableId) -> String;
     /// The user's name for a constraint.
-    fn constraint_name(&self, i: usize) -> String;
+    fn constraint_name(&self, i: ConstraintId) -> String;
     /// Explains what is not finite at ξ, where and from what; `None` when everything is finite.
     fn explain(&self, xi: &[f64]) -> Option<String>;
 }
@@ -164,7 +167,7 @@ pub trait Nlp: Named + Send + Sync {
         self.chains().map_or(self.n(), |c| c.border)
     }
     /// The longest step of a variable that makes sense far from an optimum; infinite where nothing is known.
-    fn longest_step(&self, _i: usize) -> f64 {
+    fn longest_step(&self, _i: VariableId) -> f64 {
         f64::INFINITY
     }
     /// The threads that it is evaluated on, for the linear algebra of a solver too.
@@ -186,7 +189,7 @@ pub trait Nlp: Named + Send + Sync {
 /// needs beside (see [`crate::initial`]).
 pub trait Separable: Nlp {
     /// Border variables in which outputs and constraints are not linear, jointly linear in the other ones.
-    fn nonlinear(&self) -> Vec<usize>;
+    fn nonlinear(&self) -> Vec<VariableId>;
     /// Moves these variables to another place to start from; which one, `draw` says.
-    fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64);
+    fn move_elsewhere(&self, xi: &mut [f64], variables: &[VariableId], draw: u64);
 }

@@ -27,6 +27,7 @@ pub enum Dof {
 
 /// The density of the noise of one output; e = r/σ is the residual over the scale σ.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Density {
     /// −½e² − ln σ.
     Gaussian,

@@ -6,6 +6,7 @@ use crate::expr::Expr;
 
 /// The scale of the noise of one output, as far as it is said: the standard deviation, where it is Gaussian.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Scale {
     /// Given.
     Known(f64),
@@ -35,6 +36,7 @@ impl From<Sigma> for Scale {
 
 /// Whether the noise of different outputs is correlated.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub enum Joint {
     /// Independent noise.
     #[default]

@@ -2,6 +2,7 @@
 
 /// A named value of the noise, a function of its parameters.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Reported {
     /// `sigma_<output>`, `corr_<output>_<output>`, or a parameter of a density, `dof_<output>`.
     pub name: String,

@@ -1,12 +1,13 @@
 //! Conditions on the ends of records as constraints of the program.
 
-use super::estimands::Estimands;
+use super::estimands::{Estimands, ParameterMap};
 use super::layout::Layout;
 use super::posed::Written;
 use crate::condition::{Condition, End};
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::expr::graph::Id;
+use crate::index::{ConstraintId, ExperimentId, IndexVec, ParameterId, StateId, VariableId};
 use crate::model::Model;
 use crate::nlp::{self, NotFinite, Structure};
 use crate::tape::{Arguments, Function, LANE_MULTIPLE, Pairs, Tape, Workspace};
@@ -16,13 +17,13 @@ use crate::tape::{Arguments, Function, LANE_MULTIPLE, Pairs, Tape, Workspace};
 pub(crate) struct Boundary {
     /// Their names, and the state of each.
     pub conditions: Vec<Condition>,
-    pub states: Vec<usize>,
+    pub states: Vec<StateId>,
     f: Function,
     /// Time and inputs at both ends of each experiment, and its last point.
-    data: Vec<Vec<f64>>,
-    last: Vec<usize>,
+    data: IndexVec<ExperimentId, Vec<f64>>,
+    last: IndexVec<ExperimentId, usize>,
     /// First constraint, and first entries of Jacobian and Hessian.
-    first_row: usize,
+    first_row: ConstraintId,
     jacobian: usize,
     hessian: usize,
 }
@@ -50,15 +51,15 @@ impl Boundary {
         written: Written,
         experiments: &[Experiment],
         ends: &[(usize, [f64; 2])],
-        first_row: usize,
+        first_row: ConstraintId,
     ) -> Result<Option<Boundary>, Error> {
         if model.conditions.is_empty() {
             return Ok(None);
         }
         let Written { mut graph, compiled, theta } = written;
         let (conditions, roots) = (&model.conditions, &compiled.conditions);
-        let place = |c: &Condition| model.states.iter().position(|s| s.name == c.state);
-        let states: Vec<usize> = conditions.iter().filter_map(place).collect();
+        let place = |c: &Condition| model.states.iter().position(|s| s.name == c.state).map(StateId);
+        let states: Vec<StateId> = conditions.iter().filter_map(place).collect();
         let mut at = |ids: &[Id], end: &str| -> Vec<Id> {
             (0..ids.len()).map(|i| graph.symbol(&format!("{i} {end}"))).collect()
         };
@@ -69,7 +70,7 @@ impl Boundary {
             let end = usize::from(c.end != End::Initial);
             let there: Vec<Id> = x[end].iter().chain(&u[end]).copied().collect();
             let right = graph.replace(&[root], &own, &there)[0];
-            let left = if c.end == End::Periodic { graph.sub(x[1][s], x[0][s]) } else { x[end][s] };
+            let left = if c.end == End::Periodic { graph.sub(x[1][s.0], x[0][s.0]) } else { x[end][s.0] };
             graph.sub(left, right)
         });
         let functions: Vec<Id> = functions.collect();
@@ -90,6 +91,10 @@ impl Boundary {
         }))
     }
 
+    fn experiments(&self) -> impl Iterator<Item = ExperimentId> + use<> {
+        (0..self.data.len()).map(ExperimentId)
+    }
+
     /// Number of entries of the Hessian.
     pub fn hessian_entries(&self) -> usize {
         self.f.hessian_pattern.len() * self.data.len()
@@ -106,23 +111,24 @@ impl Boundary {
     }
 
     /// First constraint of an experiment.
-    pub fn row(&self, experiment: usize) -> usize {
-        self.first_row + experiment * self.count()
+    pub fn row(&self, experiment: ExperimentId) -> ConstraintId {
+        self.first_row + experiment.0 * self.count()
     }
 
     /// Returns for each of all conditions the state in whose unit it is.
-    pub fn all_states(&self) -> Vec<usize> {
+    pub fn all_states(&self) -> Vec<StateId> {
         self.states.repeat(self.data.len())
     }
 
     /// Returns what the linear algebra must know of the conditions of an experiment.
-    pub fn of_chain(&self, experiment: usize) -> nlp::Boundary {
+    pub fn of_chain(&self, experiment: ExperimentId) -> nlp::Boundary {
         nlp::Boundary { row: self.row(experiment), states: self.states.clone() }
     }
 
     /// Returns the name of a constraint.
-    pub fn name(&self, row: usize, experiments: &[Experiment]) -> String {
-        let (e, i) = ((row - self.first_row) / self.count(), (row - self.first_row) % self.count());
+    pub fn name(&self, row: ConstraintId, experiments: &IndexVec<ExperimentId, Experiment>) -> String {
+        let row = row.0 - self.first_row.0;
+        let (e, i) = (ExperimentId(row / self.count()), row % self.count());
         let end = match self.conditions[i].end {
             End::Initial => "initial",
             End::Final => "final",
@@ -132,12 +138,12 @@ impl Boundary {
     }
 
     /// The variable that a local variable of the function is.
-    fn variable(&self, layout: &Layout, map: &[usize], e: usize, local: usize) -> usize {
+    fn variable(&self, layout: &Layout, map: &ParameterMap, e: ExperimentId, local: usize) -> VariableId {
         let (n, first) = (layout.n_x, layout.first_point[e]);
         match local {
             i if i < n => layout.state(first) + i,
-            i if i < 2 * n => layout.state(first + self.last[e]) + i - n,
-            i => map[i - 2 * n],
+            i if i < 2 * n => layout.state(first + self.last[e]) + (i - n),
+            i => map[ParameterId(i - 2 * n)],
         }
     }
 
@@ -149,10 +155,10 @@ impl Boundary {
         (jacobian, hessian): (&mut Structure, &mut Structure),
     ) {
         (self.jacobian, self.hessian) = (jacobian.len(), hessian.len());
-        for (e, map) in estimands.maps.iter().enumerate() {
-            let variable = |local: usize| self.variable(layout, map, e, local);
+        for (e, map) in estimands.maps.numbered() {
+            let variable = |local: usize| self.variable(layout, map, e, local).0;
             for (r, c) in self.f.jacobian_pattern.iter() {
-                jacobian.push(self.row(e) + r, variable(c));
+                jacobian.push(self.row(e).0 + r, variable(c));
             }
             for (a, b) in self.f.hessian_pattern.iter() {
                 let (a, b) = (variable(a), variable(b));
@@ -167,7 +173,7 @@ impl Boundary {
         tape: &Tape,
         (layout, estimands): Places<'_>,
         xi: &[f64],
-        (e, weights): (usize, &[f64]),
+        (e, weights): (ExperimentId, &[f64]),
         mut each: impl FnMut(usize, f64),
     ) {
         let (mut theta, mut uniforms) = (Vec::new(), Vec::new());
@@ -190,9 +196,9 @@ impl Boundary {
 
     /// Writes the constraints; whether all are finite.
     pub fn values(&self, problem: Places<'_>, xi: &[f64], out: &mut [f64]) -> bool {
-        let out = &mut out[self.first_row..];
-        for e in 0..self.data.len() {
-            let first = e * self.count();
+        let out = &mut out[self.first_row.0..];
+        for e in self.experiments() {
+            let first = e.0 * self.count();
             self.run(&self.f.value, problem, xi, (e, &[]), |i, v| out[first + i] = v);
         }
         out.iter().all(|v| v.is_finite())
@@ -201,8 +207,8 @@ impl Boundary {
     /// Writes the entries of the Jacobian.
     pub fn jacobian(&self, problem: Places<'_>, xi: &[f64], out: &mut [f64]) -> bool {
         let (count, out) = (self.f.jacobian_pattern.len(), &mut out[self.jacobian..]);
-        for e in 0..self.data.len() {
-            self.run(&self.f.jacobian, problem, xi, (e, &[]), |i, v| out[e * count + i] = v);
+        for e in self.experiments() {
+            self.run(&self.f.jacobian, problem, xi, (e, &[]), |i, v| out[e.0 * count + i] = v);
         }
         out.iter().all(|v| v.is_finite())
     }
@@ -210,9 +216,9 @@ impl Boundary {
     /// Writes the entries of Σ λ ∇²c.
     pub fn hessian(&self, problem: Places<'_>, xi: &[f64], lambda: &[f64], out: &mut [f64]) -> bool {
         let (count, out) = (self.f.hessian_pattern.len(), &mut out[self.hessian..]);
-        for e in 0..self.data.len() {
-            let weights = &lambda[self.row(e)..self.row(e) + self.count()];
-            self.run(&self.f.hessian, problem, xi, (e, weights), |i, v| out[e * count + i] = v);
+        for e in self.experiments() {
+            let weights = &lambda[self.row(e).0..][..self.count()];
+            self.run(&self.f.hessian, problem, xi, (e, weights), |i, v| out[e.0 * count + i] = v);
         }
         out.iter().all(|v| v.is_finite())
     }

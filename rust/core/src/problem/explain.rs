@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::posed::Posed;
 use crate::expr::graph::Id;
+use crate::index::ExperimentId;
 use crate::tape::{Function, trace};
 
 /// The explanation where all else is finite: a density far out in its tails may underflow.
@@ -19,7 +20,7 @@ impl Posed {
         function: &Function,
         names: &HashMap<Arc<str>, f64>,
         roots: &[Id],
-        e: usize,
+        e: ExperimentId,
         t: f64,
     ) -> Option<String> {
         let found = trace(&function.graph, roots, names)?;
@@ -44,7 +45,7 @@ impl Posed {
     pub(crate) fn symbols(
         &self,
         xi: &[f64],
-        e: usize,
+        e: ExperimentId,
         t: f64,
         inputs: impl IntoIterator<Item = f64>,
         states: &[f64],
@@ -65,7 +66,7 @@ impl Posed {
 
     /// Names of the parameters as functions of a point see them.
     pub(crate) fn seen(&self) -> Vec<String> {
-        let model = self.model_names.iter().zip(&self.estimands.maps[0]);
+        let model = self.model_names.iter().zip(&self.estimands.maps[ExperimentId(0)]);
         let model = model.map(|(name, &i)| self.estimands.transforms[i].name(name));
         model.chain(self.noise_names.iter().cloned()).collect()
     }

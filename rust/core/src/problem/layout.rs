@@ -1,21 +1,24 @@
 //! The places and names of variables and constraints.
 
+use std::ops::Range;
+
+use crate::index::{ConstraintId, ExperimentId, IndexVec, PointId, StateId, VariableId};
 use crate::mesh::{Between, Mesh};
 use crate::nlp::{Boundary, Chain, Chains, Tie};
 
 /// The meaning of a variable or constraint of the problem.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// The i-th parameter, noise parameters after the model's.
-    Parameter(usize),
+    /// A parameter, those of the noise after the model's.
+    Parameter(VariableId),
     /// A state at a point of an experiment.
     State {
         /// Experiment.
-        experiment: usize,
+        experiment: ExperimentId,
         /// Point within the experiment's mesh.
         point: usize,
         /// State.
-        state: usize,
+        state: StateId,
     },
 }
 
@@ -23,11 +26,11 @@ pub enum Place {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ConstraintPlace {
     /// Experiment.
-    pub experiment: usize,
+    pub experiment: ExperimentId,
     /// Vector constraint within the experiment.
     pub row: usize,
     /// State.
-    pub state: usize,
+    pub state: StateId,
 }
 
 /// Order of variables: ξ = [θ, x at the points of experiment 1, of experiment 2, ...]
@@ -41,7 +44,7 @@ pub struct Layout {
     /// Number of states, n_x.
     pub n_x: usize,
     /// First point of each experiment, and the total at the end.
-    pub first_point: Vec<usize>,
+    pub first_point: IndexVec<ExperimentId, PointId>,
 }
 
 impl Layout {
@@ -56,22 +59,30 @@ impl Layout {
         }
     }
 
-    pub(crate) fn new(n_theta: usize, n_x: usize, meshes: &[Mesh]) -> Self {
+    pub(crate) fn new(n_theta: usize, n_x: usize, meshes: &IndexVec<ExperimentId, Mesh>) -> Self {
         Self::of_counts(n_theta, n_x, meshes.iter().map(Mesh::len))
     }
 
     /// Makes the layout for these numbers of points in the experiments.
     pub(crate) fn of_counts(n_theta: usize, n_x: usize, points: impl Iterator<Item = usize>) -> Self {
-        let mut first_point = vec![0];
+        let mut next = PointId(0);
+        let mut first_point = IndexVec::default();
         for n in points {
-            first_point.push(first_point.last().unwrap() + n);
+            first_point.push(next);
+            next = next + n;
         }
+        first_point.push(next);
         Layout { n_theta, n_x, first_point }
+    }
+
+    /// Number of experiments.
+    pub fn experiments(&self) -> usize {
+        self.first_point.len() - 1
     }
 
     /// Number of points of all experiments.
     pub fn points(&self) -> usize {
-        *self.first_point.last().unwrap()
+        self.first_point[ExperimentId(self.experiments())].0
     }
 
     /// Number of variables.
@@ -81,57 +92,67 @@ impl Layout {
 
     /// Number of constraints.
     pub fn m(&self) -> usize {
-        self.n_x * (self.points() - (self.first_point.len() - 1))
+        self.n_x * (self.points() - self.experiments())
     }
 
-    /// Index of the first state of a point (counted over all experiments).
+    /// First variable of a point, its first state.
     #[inline(always)]
-    pub fn state(&self, point: usize) -> usize {
-        self.n_theta + point * self.n_x
+    pub fn state(&self, point: PointId) -> VariableId {
+        VariableId(self.n_theta + point.0 * self.n_x)
+    }
+
+    /// The variables of a point, its states, in ξ.
+    #[inline(always)]
+    pub fn states(&self, point: PointId) -> Range<usize> {
+        let first = self.state(point).0;
+        first..first + self.n_x
     }
 
     /// First vector constraint of an experiment.
-    pub fn first_row(&self, experiment: usize) -> usize {
-        self.first_point[experiment] - experiment
+    pub fn first_row(&self, experiment: ExperimentId) -> usize {
+        self.first_point[experiment].0 - experiment.0
+    }
+
+    /// First constraint of a vector constraint.
+    pub fn constraint_of(&self, row: usize) -> ConstraintId {
+        ConstraintId(row * self.n_x)
     }
 
     /// Returns the layout as the linear algebra sees it.
-    pub(crate) fn chains(&self, meshes: &[Mesh]) -> Chains {
-        let chain = |(e, mesh): (usize, &Mesh)| {
+    pub(crate) fn chains(&self, meshes: &IndexVec<ExperimentId, Mesh>) -> Chains {
+        let chain = |(e, mesh): (ExperimentId, &Mesh)| {
             let (first, row) = (self.first_point[e], self.first_row(e));
             let tie = |b: &Between| Tie {
                 segment: b.segment,
                 variable: self.state(first + b.point),
-                row: (row + b.point - 1) * self.n_x,
+                row: self.constraint_of(row + b.point - 1),
             };
             Chain {
                 variable: self.state(first),
-                row: row * self.n_x,
+                row: self.constraint_of(row),
                 segments: mesh.segments.len(),
                 points: mesh.rule.order() - 1,
                 ties: mesh.between.iter().map(tie).collect(),
                 boundary: Boundary::default(),
             }
         };
-        let chains = meshes.iter().enumerate().map(chain).collect();
+        let chains = meshes.numbered().map(chain).collect();
         Chains { border: self.n_theta, n_x: self.n_x, chains }
     }
 
     /// Returns the meaning of a variable.
-    pub fn place(&self, i: usize) -> Place {
-        if i < self.n_theta {
-            return Place::Parameter(i);
-        }
-        let (point, state) = ((i - self.n_theta) / self.n_x, (i - self.n_theta) % self.n_x);
-        let experiment = self.first_point.partition_point(|&p| p <= point) - 1;
-        Place::State { experiment, point: point - self.first_point[experiment], state }
+    pub fn place(&self, i: VariableId) -> Place {
+        let Some(i) = i.0.checked_sub(self.n_theta) else { return Place::Parameter(i) };
+        let (point, state) = (PointId(i / self.n_x), StateId(i % self.n_x));
+        let experiment = ExperimentId(self.first_point.as_slice().partition_point(|&p| p <= point) - 1);
+        Place::State { experiment, point: point.0 - self.first_point[experiment].0, state }
     }
 
     /// Returns the meaning of a constraint.
-    pub fn constraint(&self, i: usize) -> ConstraintPlace {
-        let (row, state) = (i / self.n_x, i % self.n_x);
-        let last = self.first_point.len() - 2;
-        let experiment = (0..=last).rev().find(|&e| self.first_row(e) <= row).unwrap_or(0);
+    pub fn constraint(&self, i: ConstraintId) -> ConstraintPlace {
+        let (row, state) = (i.0 / self.n_x, StateId(i.0 % self.n_x));
+        let experiments = (0..self.experiments()).rev().map(ExperimentId);
+        let experiment = experiments.into_iter().find(|&e| self.first_row(e) <= row).unwrap_or_default();
         ConstraintPlace { experiment, row: row - self.first_row(experiment), state }
     }
 }

@@ -3,8 +3,10 @@
 //! The program minimises, so all signs are turned: φ = −ℓ.
 
 use super::disjoint::Disjoint;
+use super::estimands::ParameterMap;
 use super::layout::Layout;
 use super::samples::Samples;
+use crate::index::{ParameterId, PointId};
 use crate::nlp::Part;
 use crate::simd::kernel;
 use crate::tape::lanes::{all_finite, sum};
@@ -29,14 +31,14 @@ pub(crate) fn hessian_structure(
     likelihood: &Function,
     samples: &Samples,
     layout: &Layout,
-    map: &[usize],
+    map: &ParameterMap,
     out: &mut Part<'_>,
 ) {
     let n_x = likelihood.n_states;
     for (a, b) in likelihood.hessian_pattern.iter().filter(|(_, c)| *c < n_x) {
         for &point in &samples.points[..samples.n] {
-            let x = layout.state(point as usize);
-            if a < n_x { out.push(x + a, x + b) } else { out.push(x + b, map[a - n_x]) }
+            let x = layout.state(PointId(point as usize)).0;
+            if a < n_x { out.push(x + a, x + b) } else { out.push(x + b, map[ParameterId(a - n_x)].0) }
         }
     }
 }

@@ -12,7 +12,7 @@ pub(crate) mod samples;
 mod separable;
 pub(crate) mod transcribed;
 
-pub use estimands::Estimands;
+pub use estimands::{Estimands, ParameterMap};
 pub use layout::{Layout, Place};
 pub use posed::Posed;
 pub use transcribed::Transcribed;

@@ -1,10 +1,12 @@
 //! φ = −ℓ with priors, as a function of the parameters and of the states at the samples.
 
 use super::disjoint::Disjoint;
+use super::estimands::ParameterMap;
 use super::layout::Layout;
 use super::likelihood::{self, Job};
 use super::posed::Posed;
 use super::samples::Samples;
+use crate::index::{ExperimentId, IndexVec, ParameterId, VariableId};
 use crate::nlp::{NotFinite, Structure};
 use crate::tape::Workspace;
 
@@ -16,14 +18,14 @@ pub(crate) struct Objective {
     /// First of the Hessian entries between parameters; they are the last.
     first: usize,
     /// Places of the entries of ℓ: one list an experiment, a single one where they do not differ.
-    pairs: Vec<Vec<usize>>,
-    /// Variable and place of each prior.
-    priors: Vec<(usize, usize)>,
+    pairs: IndexVec<ExperimentId, Vec<usize>>,
+    /// Place of each prior.
+    priors: Vec<usize>,
 }
 
 impl Objective {
     /// Adds the samples of an experiment, at these points of it.
-    pub(crate) fn add(&mut self, posed: &Posed, layout: &Layout, experiment: usize, points: &[usize]) {
+    pub(crate) fn add(&mut self, posed: &Posed, layout: &Layout, experiment: ExperimentId, points: &[usize]) {
         let columns = posed.sample_columns(experiment);
         self.samples.extend(Samples::cut(experiment, points, layout, &columns));
     }
@@ -47,16 +49,19 @@ impl Objective {
     }
 
     /// Lays out those between parameters: `place` gives each pair of variables (row ≥ column) its place.
-    pub(crate) fn place_pairs(&mut self, posed: &Posed, mut place: impl FnMut((usize, usize)) -> usize) {
+    pub(crate) fn place_pairs(
+        &mut self,
+        posed: &Posed,
+        mut place: impl FnMut(VariableId, VariableId) -> usize,
+    ) {
         let n_x = posed.likelihood.n_states;
-        for map in &posed.estimands.maps[..posed.differing()] {
-            // Variables of different experiments stand in another order than the parameters they are.
-            let mut place = |r: usize, c: usize| place((map[r].max(map[c]), map[r].min(map[c])));
+        for map in posed.maps() {
+            let mut place = |r, c| place_pair(map, ParameterId(r), ParameterId(c), &mut place);
             let entries = posed.likelihood.hessian_pattern.iter().filter(|(_, c)| *c >= n_x);
             self.pairs.push(entries.map(|(r, c)| place(r - n_x, c - n_x)).collect());
         }
-        let with_prior = (0..posed.parameters.len()).filter(|&i| posed.parameters[i].prior.is_some());
-        self.priors = with_prior.map(|i| (i, place((i, i)))).collect();
+        let with_prior = posed.parameters.numbered().filter(|(_, p)| p.prior.is_some());
+        self.priors = with_prior.map(|(i, _)| place(i, i)).collect();
     }
 
     /// φ.
@@ -92,7 +97,7 @@ impl Objective {
         let finite = posed.each(
             &self.samples,
             (&posed.likelihood.jacobian, xi),
-            maps[0].len(),
+            maps[ExperimentId(0)].len(),
             |samples, uniforms, scratch, part| {
                 let job = Job { likelihood: &posed.likelihood, layout, samples, xi, uniforms };
                 job.gradient(&mut scratch.workspace, &shared, part)
@@ -124,14 +129,14 @@ impl Objective {
         let finite = posed.each(
             &self.samples,
             (tape, xi),
-            self.pairs[0].len(),
+            self.pairs[ExperimentId(0)].len(),
             |samples, uniforms, scratch, part| {
                 let job = Job { likelihood, layout, samples, xi, uniforms };
                 job.hessian(tape, &mut scratch.workspace, factor, &shared, part)
             },
             |e, part| add(between, self.first, &self.pairs[e], part),
         );
-        for ((_, [e, slope, bend]), &(_, at)) in posed.priors(xi).zip(&self.priors) {
+        for ((_, [e, slope, bend]), &at) in posed.priors(xi).zip(&self.priors) {
             // Gauss-Newton leaves the curvature of the residual out.
             let bend = if exact { e * bend } else { 0.0 };
             out[at] += factor * (slope * slope + bend);
@@ -145,7 +150,7 @@ impl Objective {
         posed: &Posed,
         layout: &Layout,
         xi: &[f64],
-        experiment: usize,
+        experiment: ExperimentId,
     ) -> Vec<Vec<f64>> {
         let tape = &posed.outputs.value;
         let uniforms = posed.uniforms(tape, xi, experiment);
@@ -165,6 +170,17 @@ impl Objective {
         }
         out
     }
+}
+
+/// The place of a pair of parameters: `place` is that of a pair of variables, the greater first. Variables of different
+/// experiments stand in another order than the parameters they are.
+pub(crate) fn place_pair(
+    map: &ParameterMap,
+    a: ParameterId,
+    b: ParameterId,
+    place: &mut impl FnMut(VariableId, VariableId) -> usize,
+) -> usize {
+    place(map[a].max(map[b]), map[a].min(map[b]))
 }
 
 /// Adds values at places, counted from `first`.

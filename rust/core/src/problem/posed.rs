@@ -4,11 +4,12 @@ use std::cell::{Cell, RefCell};
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::estimands::Estimands;
+use super::estimands::{Estimands, ParameterMap};
 use super::samples::Samples;
 use crate::error::{Error, ErrorKind};
 use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
+use crate::index::{ExperimentId, IndexVec, StateId, VariableId};
 use crate::interrupt::current;
 use crate::model::{Compiled, Model, Parameter, Variable};
 use crate::nlp::{NotFinite, Reach};
@@ -22,7 +23,7 @@ use crate::transform::Transform;
 #[derive(Debug)]
 pub struct Posed {
     /// The parameters that are variables: the model's (local ones once an experiment), then the noise's.
-    pub parameters: Vec<Parameter>,
+    pub parameters: IndexVec<VariableId, Parameter>,
     /// Number of variables that are parameters of the model.
     pub n_model_parameters: usize,
     /// The parameter and the experiment of each variable.
@@ -33,11 +34,11 @@ pub struct Posed {
     pub(crate) noise_names: Vec<String>,
     pub(crate) model_names: Vec<String>,
     output_names: Vec<String>,
-    pub(crate) state_names: Vec<String>,
+    pub(crate) state_names: IndexVec<StateId, String>,
     /// Lower and upper bounds of the states.
     state_bounds: Vec<(f64, f64)>,
     pub(crate) input_names: Vec<String>,
-    pub(crate) experiments: Vec<Experiment>,
+    pub(crate) experiments: IndexVec<ExperimentId, Experiment>,
     pub(crate) f: Arc<Function>,
     pub(crate) likelihood: Function,
     pub(crate) outputs: Function,
@@ -89,11 +90,11 @@ pub(crate) struct Scratch {
 
 /// An object that belongs to an experiment.
 pub(crate) trait OfExperiment {
-    fn experiment(&self) -> usize;
+    fn experiment(&self) -> ExperimentId;
 }
 
 impl OfExperiment for Samples {
-    fn experiment(&self) -> usize {
+    fn experiment(&self) -> ExperimentId {
         self.experiment
     }
 }
@@ -139,7 +140,7 @@ impl Posed {
         let noise_parameters = noise_parameters.into_iter().map(|p| Parameter { local, ..p });
         let seen: Vec<Parameter> = model.parameters.iter().cloned().chain(noise_parameters).collect();
         let (estimands, parameters) = Estimands::new(&seen, experiments);
-        let n_model_parameters = estimands.parameter.iter().filter(|&&p| p < n_model).count();
+        let n_model_parameters = estimands.parameter.iter().filter(|p| p.0 < n_model).count();
         let noise_names = noise.variable_names(&output_names);
 
         let of_model = |error: Error| match error.kind() {
@@ -182,7 +183,7 @@ impl Posed {
 
         let posed = Posed {
             n_model_parameters,
-            parameters,
+            parameters: parameters.into_iter().collect(),
             estimands,
             noise,
             noise_names,
@@ -191,7 +192,7 @@ impl Posed {
             state_names: model.states.iter().map(|s| s.name.clone()).collect(),
             state_bounds: model.states.iter().map(Variable::bounds).collect(),
             input_names: model.inputs.iter().map(|s| s.name.clone()).collect(),
-            experiments: experiments.to_vec(),
+            experiments: experiments.iter().cloned().collect(),
             f: Arc::new(f),
             likelihood,
             outputs,
@@ -209,7 +210,7 @@ impl Posed {
 
     /// Data columns of the likelihood at the samples of an experiment: time, inputs, measurements, and where some
     /// are missing which are there.
-    pub(crate) fn sample_columns(&self, experiment: usize) -> Vec<Vec<f64>> {
+    pub(crate) fn sample_columns(&self, experiment: ExperimentId) -> Vec<Vec<f64>> {
         let experiment = &self.experiments[experiment];
         let mut columns = vec![experiment.t.clone()];
         columns.extend((0..experiment.inputs.len()).map(|c| experiment.input(c, &experiment.t)));
@@ -220,7 +221,7 @@ impl Posed {
     }
 
     /// Uniform values of a tape for an experiment.
-    pub(crate) fn uniforms(&self, tape: &Tape, xi: &[f64], experiment: usize) -> Vec<f64> {
+    pub(crate) fn uniforms(&self, tape: &Tape, xi: &[f64], experiment: ExperimentId) -> Vec<f64> {
         let (mut theta, mut out) = (Vec::new(), Vec::new());
         self.estimands.theta(experiment, xi, &mut theta);
         tape.uniforms(&theta, &mut out);
@@ -237,6 +238,11 @@ impl Posed {
         if self.estimands.any_local() { self.estimands.maps.len() } else { 1 }
     }
 
+    /// The maps from parameters to variables that differ.
+    pub(crate) fn maps(&self) -> impl Iterator<Item = &ParameterMap> {
+        self.estimands.maps.iter().take(self.differing())
+    }
+
     /// Runs `work` on every item, in parallel where it pays, with the uniform values of a tape and `width`
     /// zeros to add to; then `collect` on those, in the order of items. Whether all work was finite.
     pub(crate) fn each<T: OfExperiment + Sync>(
@@ -245,18 +251,19 @@ impl Posed {
         (tape, xi): (&Tape, &[f64]),
         width: usize,
         work: impl Fn(&T, &[f64], &mut Scratch, &mut [f64]) -> bool + Sync,
-        mut collect: impl FnMut(usize, &[f64]),
+        mut collect: impl FnMut(ExperimentId, &[f64]),
     ) -> Result<(), NotFinite> {
         // Taken and put back: nothing is allocated after the first call.
         let Buffers { mut theta, mut uniforms, mut one, mut parts } = BUFFERS.take();
         let differ = self.differing();
         uniforms.clear();
-        for e in 0..differ {
+        for e in (0..differ).map(ExperimentId) {
             self.estimands.theta(e, xi, &mut theta);
             tape.uniforms(&theta, &mut one);
             uniforms.extend_from_slice(&one);
         }
-        let (length, of) = (one.len(), |item: &T| if differ > 1 { item.experiment() } else { 0 });
+        let (length, of) =
+            (one.len(), |item: &T| if differ > 1 { item.experiment() } else { ExperimentId(0) });
         // Each item has a part, an empty one too. Items are taken in batches, so that thousands of wide parts
         // need not be held at once; the order of the sums is the same.
         let step = width.max(1);
@@ -269,7 +276,7 @@ impl Posed {
             if interrupt.stops() {
                 return false;
             }
-            let uniforms = &uniforms[of(item) * length..][..length];
+            let uniforms = &uniforms[of(item).0 * length..][..length];
             SCRATCH.with(|s| work(item, uniforms, &mut s.borrow_mut(), &mut part[..width]))
         };
         let mut finite = true;
@@ -302,8 +309,8 @@ impl Posed {
 
     /// Returns for each prior its variable, and the value's distance from the mean in standard deviations with its
     /// first two derivatives.
-    pub(crate) fn priors<'a>(&'a self, xi: &'a [f64]) -> impl Iterator<Item = (usize, [f64; 3])> + 'a {
-        self.parameters.iter().enumerate().filter_map(move |(i, p)| {
+    pub(crate) fn priors<'a>(&'a self, xi: &'a [f64]) -> impl Iterator<Item = (VariableId, [f64; 3])> + 'a {
+        self.parameters.numbered().filter_map(move |(i, p)| {
             let ((mean, std), transform) = (p.prior?, self.estimands.transforms[i]);
             let value = transform.value(xi[i]) - mean;
             Some((i, [value, transform.slope(xi[i]), transform.bend(xi[i])].map(|v| v / std)))
@@ -318,7 +325,7 @@ impl Posed {
     /// Bounds of n variables: the parameters, then states, those of a point together.
     pub(crate) fn bounds_of(&self, n: usize) -> (Vec<f64>, Vec<f64>) {
         let (mut lower, mut upper) = (vec![f64::NEG_INFINITY; n], vec![f64::INFINITY; n]);
-        for (i, p) in self.parameters.iter().enumerate() {
+        for (i, p) in self.parameters.numbered() {
             let transform = self.estimands.transforms[i];
             let (low, high) = if p.fixed { (Some(p.start), Some(p.start)) } else { (p.lower, p.upper) };
             lower[i] = low.map_or(f64::NEG_INFINITY, |p| transform.inverse(p));
@@ -356,7 +363,7 @@ impl Posed {
             let of = |all: &[f64]| map[..n].iter().map(|&i| all[i]).collect::<Vec<f64>>();
             let mut own = vec![0.0; n];
             change = change.max(self.noise.profile(counts, &of(xi), &of(gradient), reach, &mut own));
-            map.iter().zip(&own).for_each(|(&i, v)| out[i - scales.start] = *v);
+            map.iter().zip(&own).for_each(|(&i, v)| out[i.0 - scales.start] = *v);
         }
         change
     }
@@ -371,9 +378,9 @@ impl Posed {
             for mut r in self.noise.report(&outputs, &own) {
                 // Gradients with respect to the noise of all experiments.
                 let mut gradient = vec![0.0; k];
-                map.iter().zip(&r.gradient).for_each(|(&i, g)| gradient[i - self.n_model_parameters] = *g);
+                map.iter().zip(&r.gradient).for_each(|(&i, g)| gradient[i.0 - self.n_model_parameters] = *g);
                 r.gradient = gradient;
-                r.bounded_by = r.bounded_by.map(|b| map[b] - self.n_model_parameters);
+                r.bounded_by = r.bounded_by.map(|b| map[b].0 - self.n_model_parameters);
                 if let Some(e) = e {
                     r.name = format!("{}[{}]", r.name, self.experiments[e].name);
                 }
@@ -384,15 +391,16 @@ impl Posed {
     }
 
     /// The variables of the noise, once or for each experiment that has noise of its own.
-    fn noise_maps(&self) -> impl Iterator<Item = (Option<usize>, &[usize])> {
+    fn noise_maps(&self) -> impl Iterator<Item = (Option<ExperimentId>, &[VariableId])> {
         let local = self.counts.len() > 1;
         let n_model = self.model_names.len();
-        (0..self.counts.len()).map(move |e| (local.then_some(e), &self.estimands.maps[e][n_model..]))
+        let maps = self.estimands.maps.numbered().take(self.counts.len());
+        maps.map(move |(e, map)| (local.then_some(e), &map.as_slice()[n_model..]))
     }
 
     /// Scales of the outputs, the least of all experiments.
     pub fn sigmas(&self, xi: &[f64]) -> Vec<f64> {
-        let of = |map: &[usize]| {
+        let of = |map: &[VariableId]| {
             let own: Vec<f64> = map.iter().map(|&i| xi[i]).collect();
             self.noise.sigmas(&own)
         };
@@ -401,22 +409,22 @@ impl Posed {
     }
 
     /// Variables that are 1/σ of an output, given others where noise is correlated.
-    pub fn precision_roots(&self) -> Vec<usize> {
+    pub fn precision_roots(&self) -> Vec<VariableId> {
         let roots = self.noise.precision_roots();
         self.noise_maps().flat_map(|(_, map)| roots.iter().map(|&k| map[k])).collect()
     }
 
     /// The user's name for a state at a time.
-    pub(crate) fn state_name(&self, state: usize, t: f64, experiment: usize) -> String {
+    pub(crate) fn state_name(&self, state: StateId, t: f64, experiment: ExperimentId) -> String {
         format!("{} at t = {t} s of '{}'", self.state_names[state], self.experiments[experiment].name)
     }
 
     /// Returns the name of a variable that is a parameter.
-    pub(crate) fn parameter_name(&self, i: usize) -> String {
-        if i < self.n_model_parameters {
+    pub(crate) fn parameter_name(&self, i: VariableId) -> String {
+        if i.0 < self.n_model_parameters {
             return self.estimands.transforms[i].name(&self.parameters[i].name);
         }
-        let name = &self.noise_names[self.estimands.parameter[i] - self.model_names.len()];
+        let name = &self.noise_names[self.estimands.parameter[i].0 - self.model_names.len()];
         match self.estimands.experiment[i] {
             Some(e) => format!("{name}[{}]", self.experiments[e].name),
             None => name.clone(),

@@ -1,12 +1,13 @@
 //! Samples in blocks of lanes.
 
 use super::layout::Layout;
+use crate::index::ExperimentId;
 use crate::tape::{BLOCK, LANE_MULTIPLE};
 
 /// Consecutive samples of an experiment.
 #[derive(Clone, Debug)]
 pub(crate) struct Samples {
-    pub(crate) experiment: usize,
+    pub(crate) experiment: ExperimentId,
     /// Number of samples; the lanes after them repeat the last.
     pub(crate) n: usize,
     /// Point of each lane, counted over all experiments.
@@ -20,7 +21,7 @@ pub(crate) struct Samples {
 impl Samples {
     /// Cuts the samples of an experiment, at these of its points, into blocks; `columns` are its data columns.
     pub(crate) fn cut(
-        experiment: usize,
+        experiment: ExperimentId,
         points: &[usize],
         layout: &Layout,
         columns: &[Vec<f64>],
@@ -35,7 +36,7 @@ impl Samples {
             for column in columns {
                 data.extend((0..lanes).map(|l| column[first + lane(l)]));
             }
-            let points = (0..lanes).map(|l| (point0 + points[lane(l)]) as u32).collect();
+            let points = (0..lanes).map(|l| (point0 + points[lane(l)]).0 as u32).collect();
             blocks.push(Samples { experiment, n, points, data, hessian: 0 });
         }
         blocks

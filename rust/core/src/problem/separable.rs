@@ -1,6 +1,7 @@
 //! Separable least squares: the parameters that the model is linear in, the others given.
 
 use super::posed::Posed;
+use crate::index::VariableId;
 use crate::transform::Transform;
 
 /// Greatest factor by which another point to try differs.
@@ -9,7 +10,7 @@ const FACTOR: f64 = 5.0;
 impl Posed {
     /// Variables that are parameters of the model in which f and g are not linear, the least number such that they
     /// are jointly linear in all others, as far as a greedy choice finds it.
-    pub(crate) fn nonlinear(&self) -> Vec<usize> {
+    pub(crate) fn nonlinear(&self) -> Vec<VariableId> {
         let (n_x, n) = (self.state_names.len(), self.n_seen());
         let mut meets = vec![false; n * n];
         for function in [&*self.f, &self.outputs] {
@@ -29,15 +30,16 @@ impl Posed {
                 None => break,
             }
         }
-        (0..self.n_model_parameters).filter(|&i| nonlinear[self.estimands.parameter[i]]).collect()
+        let of_model = (0..self.n_model_parameters).map(VariableId);
+        of_model.filter(|&i| nonlinear[self.estimands.parameter[i].0]).collect()
     }
 
     /// ξ with these variables elsewhere: multiplied by factors that a hash of `draw` gives, within bounds; those
     /// that are 0 anywhere between their bounds, where they have some.
-    pub(crate) fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64) {
+    pub(crate) fn move_elsewhere(&self, xi: &mut [f64], variables: &[VariableId], draw: u64) {
         let (lower, upper) = self.bounds_of(self.parameters.len());
         for &i in variables {
-            let share = uniform(draw, i as u64);
+            let share = uniform(draw, i.0 as u64);
             let by = FACTOR.ln() * (2.0 * share - 1.0);
             let between = upper[i] - lower[i];
             let value = match self.estimands.transforms[i] {

@@ -7,21 +7,21 @@ impl Shooting {
     /// Lays out the sparse entries of the Jacobian and the Hessian: node by node, then between parameters.
     pub(super) fn place_derivatives(&mut self) {
         let (n_x, n_theta) = (self.layout.n_x, self.layout.n_theta);
-        for (e, nodes) in self.nodes.iter().enumerate() {
+        for (e, nodes) in self.nodes.numbered() {
             let map = &self.posed.estimands.maps[e];
             for s in 0..nodes.len() {
-                let x = self.layout.state(self.layout.first_point[e] + s);
+                let x = self.layout.state(self.layout.first_point[e] + s).0;
                 for r in 0..n_x {
                     (0..=r).for_each(|q| self.hessian_structure.push(x + r, x + q));
-                    map.iter().for_each(|&p| self.hessian_structure.push(x + r, p));
+                    map.iter().for_each(|p| self.hessian_structure.push(x + r, p.0));
                 }
                 if s + 1 < nodes.len() {
                     let row = (self.layout.first_row(e) + s) * n_x;
                     for r in 0..n_x {
                         self.jacobian_structure.push(row + r, x + n_x + r);
                         (0..n_x).for_each(|q| self.jacobian_structure.push(row + r, x + q));
-                        let model = &map[..self.posed.n_seen()];
-                        model.iter().for_each(|&p| self.jacobian_structure.push(row + r, p));
+                        let model = map.iter().take(self.posed.n_seen());
+                        model.for_each(|p| self.jacobian_structure.push(row + r, p.0));
                     }
                 }
             }
@@ -39,6 +39,6 @@ impl Shooting {
         for r in 0..n_theta {
             (0..=r).for_each(|q| self.sampled_hessian.push(r, q));
         }
-        self.objective.place_pairs(&self.posed, |(r, c)| first + triangle(r) + c);
+        self.objective.place_pairs(&self.posed, |r, c| first + triangle(r.0) + c.0);
     }
 }

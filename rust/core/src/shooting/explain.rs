@@ -1,25 +1,27 @@
 //! Messages on what is not finite in an integration, and when. They need not be fast.
 
 use super::Shooting;
+use crate::index::{ExperimentId, VariableId};
 use crate::nlp::{Named, Nlp};
 use crate::problem::explain::UNDERFLOW;
 use crate::problem::transcribed::Transcribed;
 
 impl Shooting {
     /// Explains where and why the solution of the equations ceases to exist at ξ; `None` when everything is finite.
-    pub(super) fn why_not_finite(&self, xi: &[f64]) -> Option<String> {
+    pub(super) fn explained(&self, xi: &[f64]) -> Option<String> {
         if let Some(i) = xi.iter().position(|v| !v.is_finite()) {
-            return Some(format!("{} is {}", self.variable_name(i), xi[i]));
+            return Some(format!("{} is {}", self.variable_name(VariableId(i)), xi[i]));
         }
+        let experiments = || self.tracks.numbered().map(|(e, _)| e);
         self.posed
             .explain_noise(xi)
-            .or_else(|| (0..self.posed.experiments.len()).find_map(|e| self.lost(xi, e)))
-            .or_else(|| (0..self.posed.experiments.len()).find_map(|e| self.bad_output(xi, e)))
+            .or_else(|| experiments().find_map(|e| self.lost(xi, e)))
+            .or_else(|| experiments().find_map(|e| self.bad_output(xi, e)))
             .or_else(|| self.objective(xi).is_err().then(|| UNDERFLOW.into()))
     }
 
     /// The time at which the integration of an experiment meets something that is not finite.
-    fn lost(&self, xi: &[f64], e: usize) -> Option<String> {
+    fn lost(&self, xi: &[f64], e: ExperimentId) -> Option<String> {
         let mut found = None;
         self.shoot(xi, e, |s, shot| {
             if found.is_some() {
@@ -28,7 +30,7 @@ impl Shooting {
             let points = shot.x.len() / shot.n_x;
             let bad = |point: usize| !shot.state(point).iter().all(|x| x.is_finite());
             let Some(point) = (0..points).find(|p| bad(*p)) else { return };
-            let (start, name) = (self.tracks()[e].segments[s][0], &self.posed.experiments[e].name);
+            let (start, name) = (self.tracks[e].segments[s][0], &self.posed.experiments[e].name);
             let t = shot.data(point)[0];
             // Of the stages of the step before, one had a slope that is not finite, unless the states grew too large.
             let step = point.saturating_sub(1) / shot.stages * shot.stages;
@@ -49,7 +51,7 @@ impl Shooting {
     }
 
     /// An output that is not finite where it was measured.
-    fn bad_output(&self, xi: &[f64], e: usize) -> Option<String> {
+    fn bad_output(&self, xi: &[f64], e: ExperimentId) -> Option<String> {
         let record = &self.posed.experiments[e];
         let states = self.states_at_samples(xi, e);
         for (k, &t) in record.t.iter().enumerate() {

@@ -16,8 +16,9 @@ pub use shots::Shots;
 use crate::condition::End;
 use crate::error::Error;
 use crate::experiment::Experiment;
+use crate::index::{ConstraintId, ExperimentId, IndexVec};
 use crate::integrate::flow::{Flow, Memory};
-use crate::integrate::group::{Group, Origin};
+use crate::integrate::group::{Group, Lane, Origin};
 use crate::integrate::steps::Track;
 use crate::integrate::tableau::Tableau;
 use crate::interrupt::current;
@@ -65,9 +66,9 @@ pub struct Shooting {
     /// The places of variables and constraints; its points are the nodes.
     pub layout: Layout,
     tableau: Tableau,
-    tracks: Vec<Track>,
+    tracks: IndexVec<ExperimentId, Track>,
     /// Times of the nodes of each experiment.
-    nodes: Vec<Vec<f64>>,
+    nodes: IndexVec<ExperimentId, Vec<f64>>,
     groups: Vec<Group>,
     /// φ as a function of θ and x at the samples, with their places in a vector of these.
     pub(super) objective: Objective,
@@ -86,7 +87,7 @@ pub struct Shooting {
 type Latest = (Vec<f64>, Arc<Vec<f64>>);
 
 impl OfExperiment for Group {
-    fn experiment(&self) -> usize {
+    fn experiment(&self) -> ExperimentId {
         self.experiment
     }
 }
@@ -118,7 +119,7 @@ impl Shooting {
         )?;
         let grids = Grid::for_each(&settings.grid, experiments.len())?;
         let tracks = experiments.iter().zip(grids).map(|(x, grid)| Track::new(x, grid, &settings.steps));
-        let tracks: Vec<Track> = tracks.collect::<Result<_, _>>()?;
+        let tracks: IndexVec<ExperimentId, Track> = tracks.collect::<Result<_, _>>()?;
         let (n_theta, n_x) = (posed.parameters.len(), model.states.len());
         let layout =
             Layout::of_counts(n_theta, n_x, tracks.iter().map(|t| t.segments.len() + usize::from(ends)));
@@ -126,7 +127,7 @@ impl Shooting {
         let tableau = settings.integrator.tableau();
         let mut objective = Objective::default();
         let mut groups = Vec::new();
-        for (e, (experiment, track)) in experiments.iter().zip(&tracks).enumerate() {
+        for (experiment, (e, track)) in experiments.iter().zip(tracks.numbered()) {
             let (node, sample) = (layout.first_point[e], sampled.first_point[e]);
             let origin = Origin { experiment: e, node, sample, last: !ends };
             let width = Group::width(track.segments.len());
@@ -139,7 +140,7 @@ impl Shooting {
             if ends { (track.segments.len(), [first, last]) } else { (0, [first; 2]) }
         };
         let places: Vec<_> = experiments.iter().zip(&tracks).map(of_ends).collect();
-        let boundary = Boundary::new(model, written, experiments, &places, layout.m())?;
+        let boundary = Boundary::new(model, written, experiments, &places, ConstraintId(layout.m()))?;
         let nodes = |(x, track): (&Experiment, &Track)| {
             let mut nodes = track.starts();
             nodes.extend(ends.then_some(x.t[x.t.len() - 1]));
@@ -168,15 +169,15 @@ impl Shooting {
 
     fn find_chains(&self) -> Option<Chains> {
         let layout = &self.layout;
-        let chain = |(e, nodes): (usize, &Vec<f64>)| Chain {
+        let chain = |(e, nodes): (ExperimentId, &Vec<f64>)| Chain {
             variable: layout.state(layout.first_point[e]),
-            row: layout.first_row(e) * layout.n_x,
+            row: layout.constraint_of(layout.first_row(e)),
             segments: nodes.len() - 1,
             points: 1,
             ties: Vec::new(),
             boundary: self.boundary.as_ref().map_or_else(Default::default, |b| b.of_chain(e)),
         };
-        let chains: Vec<Chain> = self.nodes.iter().enumerate().map(chain).collect();
+        let chains: Vec<Chain> = self.nodes.numbered().map(chain).collect();
         // A chain of a single node is none; such programs are small.
         let all = chains.iter().all(|c| c.segments > 0);
         all.then_some(Chains { border: layout.n_theta, n_x: layout.n_x, chains })
@@ -187,12 +188,18 @@ impl Shooting {
     }
 
     fn uniforms_of(&self, tape: &Tape, xi: &[f64]) -> Uniforms {
-        (0..self.posed.differing()).map(|e| self.posed.uniforms(tape, xi, e)).collect()
+        let experiments = (0..self.posed.differing()).map(ExperimentId);
+        experiments.map(|e| self.posed.uniforms(tape, xi, e)).collect()
     }
 
     /// States of the nodes of a group.
     pub(super) fn start<'a>(&self, group: &Group, xi: &'a [f64]) -> &'a [f64] {
-        &xi[self.layout.state(group.node)..][..group.n * self.layout.n_x]
+        &xi[self.layout.state(group.node).0..][..group.n * self.layout.n_x]
+    }
+
+    /// The vector constraint at the end of a segment.
+    fn row(&self, group: &Group, lane: Lane) -> usize {
+        group.node_of(lane).0 - group.experiment.0
     }
 
     /// Runs `work` on every group with `width` zeros to add to, in parallel; then `collect` on those, in their order.
@@ -219,9 +226,5 @@ impl Shooting {
         };
         self.groups.iter().zip(parts.chunks_exact(step)).for_each(|(g, part)| collect(g, &part[..width]));
         if finite { Ok(()) } else { Err(NotFinite) }
-    }
-
-    pub(super) fn tracks(&self) -> &[Track] {
-        &self.tracks
     }
 }

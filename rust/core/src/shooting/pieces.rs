@@ -2,6 +2,7 @@
 //! states, slopes and curvatures go to their places.
 
 use super::Shooting;
+use crate::index::ExperimentId;
 use crate::integrate::adjoint::{Sizes, congruence};
 use crate::integrate::flow::Memory;
 use crate::integrate::group::{Group, Lane};
@@ -27,7 +28,7 @@ pub(super) fn triangle(n: usize) -> usize {
 }
 
 pub(super) fn of<'a>(uniforms: &'a Uniforms, group: &Group) -> &'a [f64] {
-    &uniforms[if uniforms.len() > 1 { group.experiment } else { 0 }]
+    &uniforms[if uniforms.len() > 1 { group.experiment.0 } else { 0 }]
 }
 
 pub(super) fn integrate_group<const W: usize>(
@@ -52,7 +53,7 @@ pub(super) fn states_at<const W: usize>(
     let finite = integrate_group::<W>(p, group, xi, uniforms, m);
     for sample in &group.samples {
         // SAFETY: a sample belongs to one group.
-        let x = unsafe { out.part(p.sampled.state(sample.index), p.layout.n_x) };
+        let x = unsafe { out.part(p.sampled.state(sample.point).0, p.layout.n_x) };
         p.flow(group).state::<W>(sample, m, |r, v| x[r] = v);
     }
     finite
@@ -72,7 +73,7 @@ pub(super) fn defects_of<const W: usize>(
     for lane in 0..group.n - usize::from(group.last) {
         let next = p.layout.state(group.node + lane + 1);
         // SAFETY: the rows of groups do not overlap.
-        let c = unsafe { out.part((group.node + lane - group.experiment) * n_x, n_x) };
+        let c = unsafe { out.part(p.row(group, Lane(lane)) * n_x, n_x) };
         (0..n_x).for_each(|r| c[r] = xi[next + r] - m.points.x[end + r * W + lane]);
     }
     finite
@@ -108,7 +109,7 @@ pub(super) fn jacobian_of<const W: usize>(
     let (n_x, n_q) = (p.layout.n_x, flow.n_q());
     let mut finite = true;
     for lane in 0..group.n - usize::from(group.last) {
-        let row = group.node + lane - group.experiment;
+        let row = p.row(group, Lane(lane));
         let size = n_x * (n_q + 1);
         // SAFETY: the rows of groups do not overlap.
         let entries = unsafe { out.part(row * size, size) };
@@ -137,13 +138,13 @@ pub(super) fn gradient_of<const W: usize>(
         return false;
     }
     let flow = p.flow(group);
-    if !flow.backward::<W>(m, |s, r| at_samples[p.sampled.state(s.index) + r], |_, _| 0.0) {
+    if !flow.backward::<W>(m, |s, r| at_samples[p.sampled.state(s.point) + r], |_, _| 0.0) {
         return false;
     }
     flow.parameter_gradient::<W>(m, theta);
     let n_x = p.layout.n_x;
     // SAFETY: a node belongs to one group.
-    let nodes = unsafe { out.part(p.layout.state(group.node) - p.layout.n_theta, group.n * n_x) };
+    let nodes = unsafe { out.part(group.node.0 * n_x, group.n * n_x) };
     for (i, g) in nodes.iter_mut().enumerate() {
         *g = m.ax[i % n_x * W + i / n_x];
     }
@@ -179,7 +180,7 @@ pub(super) fn hessian_of<const W: usize>(
         return false;
     }
     let n_x = p.layout.n_x;
-    let n_seen = p.posed.estimands.maps[0].len();
+    let n_seen = p.posed.estimands.maps[ExperimentId(0)].len();
     let (n_q, n_all) = (flow.n_q(), n_x + n_seen);
     m.sums.clear();
     m.sums.resize(n_all * n_all * W, 0.0);
@@ -189,9 +190,9 @@ pub(super) fn hessian_of<const W: usize>(
     if let Some(lambda) = job.lambda {
         let multiplier = |lane: Lane, r: usize| {
             let follows = !(group.last && lane.0 + 1 == group.n);
-            if follows { -lambda[(group.node_of(lane) - group.experiment) * n_x + r] } else { 0.0 }
+            if follows { -lambda[p.row(group, lane) * n_x + r] } else { 0.0 }
         };
-        let done = flow.backward::<W>(m, |s, r| job.gradient[p.sampled.state(s.index) + r], multiplier);
+        let done = flow.backward::<W>(m, |s, r| job.gradient[p.sampled.state(s.point) + r], multiplier);
         finite &= done && flow.curvature::<W>(of(&job.curvature, group), n_all, m);
     }
 
@@ -206,7 +207,7 @@ pub(super) fn hessian_of<const W: usize>(
             return false;
         }
         flow.sample_sensitivity::<W>(sample, m);
-        let k = sample.index - first_sample;
+        let k = sample.point.0 - first_sample.0;
         let block = &p.objective.samples[first_block.unwrap_or(0) + k / BLOCK];
         let entry = |i: usize| job.sampled[block.hessian + i * block.n + k % BLOCK];
         let terms = pattern().enumerate().map(|(i, at)| (at, [entry(i)]));
@@ -222,7 +223,7 @@ pub(super) fn hessian_of<const W: usize>(
             m.sums[at * W + lane] + m.own[lane * n_all * n_all + at]
         };
         // SAFETY: a node belongs to one group.
-        let entries = unsafe { job.out.part((group.node + lane) * node_entries, node_entries) };
+        let entries = unsafe { job.out.part((group.node + lane).0 * node_entries, node_entries) };
         let mut entry = entries.iter_mut();
         let mut put = |v: f64| *entry.next().expect("as many entries as in the structure") = v;
         for r in 0..n_x {

@@ -7,10 +7,10 @@ use super::Shooting;
 use super::pieces::{
     Second, Uniforms, by_width, defects_of, gradient_of, hessian_of, jacobian_of, states_at, triangle,
 };
-use crate::nlp::{Chains, Named, Nlp, NotFinite, Reach, Separable, Structure};
+use crate::index::ExperimentId;
+use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
 use crate::problem::boundary::{Boundary, Places};
 use crate::problem::disjoint::Disjoint;
-use crate::problem::layout::{ConstraintPlace, Place};
 use crate::threads::Threads;
 
 impl Shooting {
@@ -73,15 +73,15 @@ impl Shooting {
             lambda,
             out: Disjoint::new(stored),
         };
-        let n_seen = self.posed.estimands.maps[0].len();
+        let n_seen = self.posed.estimands.maps[ExperimentId(0)].len();
         self.each(
             triangle(n_seen),
             |group, m, part| by_width!(group, hessian_of(&job, group, m, part)),
             |group, part| {
                 let map = &self.posed.estimands.maps[group.experiment];
                 for (r, i) in map.iter().enumerate() {
-                    for (q, j) in map[..=r].iter().enumerate() {
-                        pairs[triangle(*i.max(j)) + i.min(j)] += part[triangle(r) + q];
+                    for (q, j) in map.iter().take(r + 1).enumerate() {
+                        pairs[triangle(i.max(j).0) + i.min(j).0] += part[triangle(r) + q];
                     }
                 }
             },
@@ -125,7 +125,7 @@ impl Nlp for Shooting {
         states.fill(0.0); // nothing depends on a node at the end
         let (shared, uniforms) = (Disjoint::new(states), self.both(xi));
         self.each(
-            self.posed.estimands.maps[0].len(),
+            self.posed.estimands.maps[ExperimentId(0)].len(),
             |group, m, part| {
                 by_width!(group, gradient_of(self, group, (xi, &at_samples), &uniforms, m, &shared, part))
             },
@@ -197,39 +197,5 @@ impl Nlp for Shooting {
 
     fn profile(&self, xi: &[f64], gradient: &[f64], reach: &Reach<'_>, out: &mut [f64]) -> f64 {
         self.posed.profile_noise(xi, gradient, reach, out)
-    }
-}
-
-impl Named for Shooting {
-    fn variable_name(&self, i: usize) -> String {
-        match self.layout.place(i) {
-            Place::Parameter(p) => self.posed.parameter_name(p),
-            Place::State { experiment, point, state } => {
-                self.posed.state_name(state, self.nodes[experiment][point], experiment)
-            }
-        }
-    }
-
-    fn constraint_name(&self, i: usize) -> String {
-        if let Some(boundary) = self.boundary.as_ref().filter(|_| i >= self.layout.m()) {
-            return boundary.name(i, &self.posed.experiments);
-        }
-        let ConstraintPlace { experiment: e, row, state } = self.layout.constraint(i);
-        let (t, name) = (self.nodes[e][row + 1], &self.posed.state_names[state]);
-        format!("continuity of {name} at t = {t} s of '{}'", self.posed.experiments[e].name)
-    }
-
-    fn explain(&self, xi: &[f64]) -> Option<String> {
-        self.why_not_finite(xi)
-    }
-}
-
-impl Separable for Shooting {
-    fn nonlinear(&self) -> Vec<usize> {
-        self.posed.nonlinear()
-    }
-
-    fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64) {
-        self.posed.move_elsewhere(xi, variables, draw);
     }
 }

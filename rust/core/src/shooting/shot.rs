@@ -2,10 +2,11 @@
 
 use super::Shooting;
 use super::pieces::{by_width, integrate_group};
+use crate::index::{ConstraintId, ExperimentId, PointId, StateId};
 use crate::integrate::flow::Memory;
 use crate::nlp::NotFinite;
 use crate::problem::boundary::Boundary;
-use crate::problem::layout::Layout;
+use crate::problem::layout::{ConstraintPlace, Layout};
 use crate::problem::posed::Posed;
 use crate::problem::transcribed::Transcribed;
 
@@ -33,7 +34,7 @@ impl Shot {
 impl Shooting {
     /// Integrates the segments of an experiment and hands each lane's states over: segment, states at the points
     /// (`[point·n_x + state]`), times of the points and inputs there (`[point][column]`).
-    pub(super) fn shoot(&self, xi: &[f64], experiment: usize, mut see: impl FnMut(usize, Shot)) {
+    pub(super) fn shoot(&self, xi: &[f64], experiment: ExperimentId, mut see: impl FnMut(usize, Shot)) {
         let uniforms = self.uniforms_of(&self.posed.f.value, xi);
         let mut m = Memory::default();
         let mut segment = 0;
@@ -59,25 +60,39 @@ impl Transcribed for Shooting {
         &self.layout
     }
 
-    fn boundary_states(&self) -> Vec<usize> {
+    fn boundary_states(&self) -> Vec<StateId> {
         self.boundary.as_ref().map_or_else(Vec::new, Boundary::all_states)
     }
 
-    fn point_times(&self, experiment: usize) -> &[f64] {
+    fn path_constraint_name(&self, of: ConstraintPlace) -> String {
+        let ConstraintPlace { experiment: e, row, state } = of;
+        let (t, name) = (self.nodes[e][row + 1], &self.posed.state_names[state]);
+        format!("continuity of {name} at t = {t} s of '{}'", self.posed.experiments[e].name)
+    }
+
+    fn condition_name(&self, i: ConstraintId) -> String {
+        self.boundary.as_ref().map_or_else(String::new, |b| b.name(i, &self.posed.experiments))
+    }
+
+    fn why_not_finite(&self, xi: &[f64]) -> Option<String> {
+        self.explained(xi)
+    }
+
+    fn point_times(&self, experiment: ExperimentId) -> &[f64] {
         &self.nodes[experiment]
     }
 
-    fn states_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
-        let points = self.sampled.first_point[experiment]..self.sampled.first_point[experiment + 1];
+    fn states_at_samples(&self, xi: &[f64], experiment: ExperimentId) -> Vec<Vec<f64>> {
+        let points = self.sampled.first_point[experiment].0..self.sampled.first_point[experiment + 1].0;
         let zeta = self.integrate(xi);
         let path = |r: usize| {
-            let at = |point: usize| zeta.as_ref().map_or(f64::NAN, |z| z[self.sampled.state(point) + r]);
-            points.clone().map(at).collect()
+            let at = |point| zeta.as_ref().map_or(f64::NAN, |z| z[self.sampled.state(point) + r]);
+            points.clone().map(PointId).map(at).collect()
         };
         (0..self.layout.n_x).map(path).collect()
     }
 
-    fn outputs_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
+    fn outputs_at_samples(&self, xi: &[f64], experiment: ExperimentId) -> Vec<Vec<f64>> {
         match self.integrate(xi) {
             Ok(zeta) => self.objective.outputs(&self.posed, &self.sampled, &zeta, experiment),
             Err(NotFinite) => {
@@ -87,7 +102,7 @@ impl Transcribed for Shooting {
         }
     }
 
-    fn path(&self, xi: &[f64], experiment: usize) -> (Vec<f64>, Vec<Vec<f64>>) {
+    fn path(&self, xi: &[f64], experiment: ExperimentId) -> (Vec<f64>, Vec<Vec<f64>>) {
         let track = &self.tracks[experiment];
         let samples = &self.posed.experiments[experiment].t;
         // A single segment with steps from sample to sample is the path that the likelihood was computed from.

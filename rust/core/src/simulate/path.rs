@@ -3,6 +3,7 @@
 /// Outputs and states of a simulation at the samples of its record. Channels stand in the order of the model's;
 /// by name: [`Path::state`], [`Path::output`], [`Path::residual`].
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Path {
     /// Name of the record.
     pub name: String,

@@ -7,7 +7,7 @@ use super::iterate::Iterate;
 use super::program::Program;
 use super::promise::Promise;
 use super::step::Step;
-use crate::linalg::{Curvature, Effort, Factor, KktChoice, KktError, KktSolver};
+use crate::linalg::{Curvature, Direction, Effort, Factor, KktChoice, KktError, KktSolver};
 use crate::nlp::NotFinite;
 
 /// Why there is no step.
@@ -255,7 +255,7 @@ impl Factored<'_> {
     }
 
     /// What curvature there is without a shift, and directions that have none.
-    pub fn unshifted(&mut self) -> (Curvature, &[Vec<(usize, f64)>]) {
+    pub fn unshifted(&mut self) -> (Curvature, &[Direction]) {
         (self.factor.finish(self.active.held(), 0.0), self.factor.weak_directions())
     }
 }

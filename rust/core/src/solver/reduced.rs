@@ -5,7 +5,9 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use super::iterate::Iterate;
 use super::program::Program;
 use super::restoration::Restoration;
+use crate::index::VariableId;
 use crate::linalg::Entries;
+use crate::nlp::Structure;
 use crate::simd::kernel;
 
 /// Most free variables.
@@ -48,7 +50,7 @@ impl Reduced {
         let size = |&i: &usize| {
             let (range, unit) =
                 (program.upper[i] - program.lower[i], units[i.saturating_sub(border) % units.len()]);
-            match nlp.longest_step(i) {
+            match nlp.longest_step(VariableId(i)) {
                 most if most.is_finite() => most,
                 _ if i >= border => unit.max(0.3 * xi[i].abs()),
                 _ if xi[i] != 0.0 => xi[i].abs(),
@@ -111,7 +113,7 @@ impl Reduced {
     /// ZᵀHZ.
     fn project(&mut self, program: &Program<'_>, entries: Entries<'_>) {
         let s = program.nlp.hessian_structure();
-        multiply(self.free.len(), (&s.rows, &s.columns, entries.hessian), &self.z, &mut self.product);
+        multiply(self.free.len(), s, entries.hessian, &self.z, &mut self.product);
         multiply_transposed(self.free.len(), &self.z, &self.product, &mut self.hessian);
     }
 
@@ -209,10 +211,10 @@ impl Reduced {
 }
 
 kernel! {
-    /// Sets `product` to HZ, both Z and HZ of p columns, from rows, columns and values of one triangle of H.
-    fn multiply(p: usize, h: (&[u32], &[u32], &[f64]), z: &[f64], product: &mut [f64]) {
+    /// Sets `product` to HZ, both Z and HZ of p columns, from the structure and the values of one triangle of H.
+    fn multiply(p: usize, s: &Structure, h: &[f64], z: &[f64], product: &mut [f64]) {
         product.fill(0.0);
-        for ((&r, &c), h) in h.0.iter().zip(h.1).zip(h.2) {
+        for ((&r, &c), h) in s.rows.iter().zip(&s.columns).zip(h) {
             let (r, c) = (r as usize, c as usize);
             if *h == 0.0 {
                 continue;

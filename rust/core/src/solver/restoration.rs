@@ -129,25 +129,27 @@ impl Restoration {
         };
         let mut conditions = Vec::new(); // rows that may depend on the first states alone
         for (e, chain) in chains.chains.iter().enumerate() {
-            let (row, states) = (chain.boundary.row, &chain.boundary.states);
+            let (row, states) = (chain.boundary.row.0, &chain.boundary.states);
             if !states.is_empty() {
-                let columns: Vec<usize> = states.iter().map(|s| chain.variable + s).collect();
+                let columns: Vec<usize> = states.iter().map(|s| (chain.variable + s.0).0).collect();
                 let once = (0..columns.len()).all(|i| !columns[..i].contains(&columns[i]));
                 if !once {
                     return None;
                 }
-                conditions.push((row..row + states.len(), chain.variable..chain.variable + n_x));
+                let first = chain.variable.0;
+                conditions.push((row..row + states.len(), first..first + n_x));
                 blocks.push(block(e, (row..row + states.len()).collect(), columns, None));
             }
             let size = chain.points * n_x;
             let mut ties = chain.ties.iter().peekable();
             for s in 0..chain.segments {
-                let (row, variable) = (chain.row + s * size, chain.variable + n_x + s * size);
+                let (row, variable) = (chain.row.0 + s * size, chain.variable.0 + n_x + s * size);
                 let own = (row..row + size).collect();
                 blocks.push(block(e, own, (variable..variable + size).collect(), Some(variable - n_x)));
                 while let Some(tie) = ties.next_if(|t| t.segment == s) {
-                    let columns = (tie.variable..tie.variable + n_x).collect();
-                    blocks.push(block(e, (tie.row..tie.row + n_x).collect(), columns, Some(variable - n_x)));
+                    let (row, first) = (tie.row.0, tie.variable.0);
+                    let columns = (first..first + n_x).collect();
+                    blocks.push(block(e, (row..row + n_x).collect(), columns, Some(variable - n_x)));
                 }
             }
         }

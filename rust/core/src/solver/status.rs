@@ -6,6 +6,7 @@ use crate::interrupt::{Cause, Interrupt};
 
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Status {
     /// A local optimum.
     Converged,

@@ -8,7 +8,8 @@ use super::point::Point;
 use super::program::Program;
 use super::status::Status;
 use super::step::Step;
-use crate::linalg::KktError;
+use crate::index::{ConstraintId, VariableId};
+use crate::linalg::{Direction, KktError};
 
 /// Multiple of its size at which an unknown has grown without limit.
 const ENDLESS: f64 = 1e15;
@@ -66,9 +67,9 @@ impl Ending {
         }
         let ridge = found.negative > 0 && !rounding;
         let status = if ridge { Status::Failed } else { Status::Unidentifiable };
-        let names = |direction: &Vec<(usize, f64)>| {
+        let names = |direction: &Direction| {
             let most = direction.first().map_or(0.0, |x| x.1.abs());
-            let mut part: Vec<usize> =
+            let mut part: Vec<VariableId> =
                 direction.iter().filter(|x| x.1.abs() > 0.1 * most).map(|x| x.0).collect();
             part.sort_unstable();
             part.iter().take(6).map(|&i| program.nlp.variable_name(i)).collect::<Vec<_>>().join(", ")
@@ -82,7 +83,7 @@ impl Ending {
         if matches!(self.status, Status::Infeasible | Status::Failed) && self.detail.is_empty() {
             let sizes = point.c.iter().zip(program.units.each()).map(|(c, u)| c.abs() / u).enumerate();
             if let Some((i, _)) = sizes.max_by(|a, b| a.1.total_cmp(&b.1)) {
-                let name = program.nlp.constraint_name(i);
+                let name = program.nlp.constraint_name(ConstraintId(i));
                 self.detail = format!("the largest is the {name}: {:.2e}", point.c[i]);
             }
         }
@@ -113,7 +114,7 @@ impl Sizes {
         let size =
             |i: usize| self.0.get(i).map_or(1.0, |size| if *size > 0.0 { *size } else { f64::INFINITY });
         let far = (0..border).find(|&i| !own.contains(&i) && point.xi[i].abs() > ENDLESS * size(i))?;
-        let detail = format!("{} = {:.1e}", program.nlp.variable_name(far), point.xi[far]);
+        let detail = format!("{} = {:.1e}", program.nlp.variable_name(VariableId(far)), point.xi[far]);
         Some(Ending::new(Status::Diverging, detail))
     }
 
@@ -138,7 +139,8 @@ impl Sizes {
         let part = |i: &usize| step.d[*i].abs() / size(*i);
         let mut order: Vec<usize> = (0..program.border()).collect();
         order.sort_by(|a, b| part(b).total_cmp(&part(a)));
-        let names: Vec<String> = order.iter().take(6).map(|&i| program.nlp.variable_name(i)).collect();
+        let names: Vec<String> =
+            order.into_iter().take(6).map(|i| program.nlp.variable_name(VariableId(i))).collect();
         let detail = format!("the data hardly determine {}", names.join(", "));
         Some(Ending::new(Status::Acceptable, detail))
     }

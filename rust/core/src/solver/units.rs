@@ -20,7 +20,7 @@ impl Units {
     pub fn new(nlp: &dyn Nlp, xi: &[f64]) -> Units {
         let states = state_units(nlp, xi);
         let conditions = nlp.chains().into_iter().flat_map(Chains::boundary_states);
-        let boundary: Vec<f64> = conditions.map(|s| states[s]).collect();
+        let boundary: Vec<f64> = conditions.map(|s| states[s.0]).collect();
         Units { rows: nlp.m() - boundary.len(), states, boundary }
     }
 

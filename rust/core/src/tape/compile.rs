@@ -59,6 +59,14 @@ enum Arg {
     Raw(u32),
 }
 
+/// A sum or difference that is one instruction: a·b + c (Fma), a·b − c (Fms) or c − a·b (Fnma).
+struct Fused {
+    product: Id,
+    /// The other side.
+    other: Id,
+    code: Code,
+}
+
 struct Compiler<'a> {
     graph: &'a Graph,
     uses: Vec<u32>,
@@ -207,7 +215,7 @@ impl<'a> Compiler<'a> {
     /// The nodes that must be there before `id` is emitted: through a product that is fused.
     fn operands(&self, id: Id) -> Vec<Id> {
         match self.fusable(id) {
-            Some((product, other, _)) => {
+            Some(Fused { product, other, .. }) => {
                 let mut args = self.graph.args(product);
                 args.push(other);
                 args
@@ -216,9 +224,8 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    /// Returns, for a sum or difference with a product that nothing else needs, the product, the other side, and
-    /// whether the sum is a·b + c (Fma), a·b − c (Fms) or c − a·b (Fnma).
-    fn fusable(&self, id: Id) -> Option<(Id, Id, Code)> {
+    /// Returns how a sum or difference with a product that nothing else needs is fused.
+    fn fusable(&self, id: Id) -> Option<Fused> {
         let Item::Apply(op @ (Op::Add | Op::Sub), args) = self.graph.item(id) else { return None };
         let product = |p: Id| {
             matches!(self.graph.item(p), Item::Apply(Op::Mul, _))
@@ -227,16 +234,18 @@ impl<'a> Compiler<'a> {
                 && !self.emitted[p.index()]
         };
         if product(args[1]) {
-            Some((args[1], args[0], if op == Op::Add { Code::FmaLLL } else { Code::FnmaLLL }))
+            let code = if op == Op::Add { Code::FmaLLL } else { Code::FnmaLLL };
+            Some(Fused { product: args[1], other: args[0], code })
         } else if product(args[0]) {
-            Some((args[0], args[1], if op == Op::Add { Code::FmaLLL } else { Code::FmsLLL }))
+            let code = if op == Op::Add { Code::FmaLLL } else { Code::FmsLLL };
+            Some(Fused { product: args[0], other: args[1], code })
         } else {
             None
         }
     }
 
     fn emit(&mut self, id: Id) {
-        if let Some((product, other, code)) = self.fusable(id) {
+        if let Some(Fused { product, other, code }) = self.fusable(id) {
             self.emit_fused(id, product, other, code);
             return;
         }

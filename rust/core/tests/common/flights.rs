@@ -4,6 +4,7 @@ use phugoid::Experiment;
 use phugoid::Interpolation;
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::model::Model;
+use phugoid::nlp::ExperimentId;
 use phugoid::noise::{Noise, Sigma};
 
 use super::Random;
@@ -78,7 +79,7 @@ pub fn problem(model: &Model, n: usize, settings: &Settings) -> (Collocation, Ve
     let problem = Collocation::new(model, std::slice::from_ref(&e), noise, settings).unwrap();
     let mut xi: Vec<f64> = problem.posed.parameters.iter().map(|p| p.start).collect();
     xi[..6].fill(0.0);
-    for time in &problem.meshes[0].times {
+    for time in &problem.meshes[ExperimentId(0)].times {
         let at = (time / 0.05).clamp(0.0, (n - 1) as f64);
         let i = (at as usize).min(n - 2);
         let f = at - i as f64;

@@ -2,14 +2,14 @@
 
 use nalgebra::{DMatrix, DVector};
 use phugoid::collocation::Collocation;
-use phugoid::nlp::Nlp;
+use phugoid::nlp::{ExperimentId, Nlp, PointId};
 
 /// Newton's method. Constraint k ends at point k + 1, so the Jacobian with respect to all points but
 /// the first is square, and block lower triangular: a block a segment, then one a tied sample.
 pub fn solve_defects(problem: &Collocation, xi: &mut [f64]) {
     assert_eq!(problem.meshes.len(), 1, "one experiment");
-    let (n_x, mesh) = (problem.layout.n_x, &problem.meshes[0]);
-    let first = problem.layout.state(1);
+    let (n_x, mesh) = (problem.layout.n_x, &problem.meshes[ExperimentId(0)]);
+    let first = problem.layout.state(PointId(1)).0;
     let (m, k) = (problem.m(), n_x * (mesh.rule.order() - 1));
     let ends: Vec<usize> = (1..=mesh.segments.len())
         .map(|s| s * k)

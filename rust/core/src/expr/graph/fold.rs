@@ -7,6 +7,13 @@ use crate::expr::ops::Op;
 /// are taken as a whole: each step of a sweep would go through all of them again.
 const DEEP: u32 = 128;
 
+/// Two terms that one condition switches, and both branches of each.
+struct Switched {
+    condition: Id,
+    yes: [Id; 2],
+    no: [Id; 2],
+}
+
 impl Graph {
     /// Applies an operation, folding constants and the identities that keep derivatives small.
     /// Constants are folded only to finite values: a failure must stay visible where it happens.
@@ -82,7 +89,7 @@ impl Graph {
             let two = self.constant(2.0);
             return self.mul(two, a);
         }
-        if let Some((condition, yes, no)) = self.same_switch(a, b) {
+        if let Some(Switched { condition, yes, no }) = self.same_switch(a, b) {
             let (yes, no) = (self.add(yes[0], yes[1]), self.add(no[0], no[1]));
             return self.select(condition, yes, no);
         }
@@ -106,16 +113,15 @@ impl Graph {
         if let Some(x) = self.negated(b) {
             return self.add(a, x);
         }
-        if let Some((condition, yes, no)) = self.same_switch(a, b) {
+        if let Some(Switched { condition, yes, no }) = self.same_switch(a, b) {
             let (yes, no) = (self.sub(yes[0], yes[1]), self.sub(no[0], no[1]));
             return self.select(condition, yes, no);
         }
         self.intern_apply(Op::Sub, &[a, b])
     }
 
-    /// Returns, for two terms that the same condition switches, the condition and both branches of each.
-    /// Their sum is then switched as one.
-    fn same_switch(&self, a: Id, b: Id) -> Option<(Id, [Id; 2], [Id; 2])> {
+    /// Returns two terms as what the same condition switches. Their sum is then switched as one.
+    fn same_switch(&self, a: Id, b: Id) -> Option<Switched> {
         match (self.item(a), self.item(b)) {
             (Item::Apply(Op::Where, x), Item::Apply(Op::Where, y))
                 if x[0] == y[0]
@@ -124,7 +130,7 @@ impl Graph {
                     && !self.is_deep(a)
                     && !self.is_deep(b) =>
             {
-                Some((x[0], [x[1], y[1]], [x[2], y[2]]))
+                Some(Switched { condition: x[0], yes: [x[1], y[1]], no: [x[2], y[2]] })
             }
             _ => None,
         }

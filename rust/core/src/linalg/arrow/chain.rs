@@ -5,6 +5,7 @@ use std::ops::Range;
 use super::items::Items;
 use super::part::PartPlan;
 use super::run::Run;
+use crate::index::ConstraintId;
 use crate::nlp::{Chain, Tie};
 
 /// The places of a chain's own rows and points, and the entries that they take.
@@ -136,7 +137,7 @@ impl ChainPlan {
     }
 
     /// The program's constraint of an own row.
-    pub fn constraint(&self, row: usize, n: usize) -> usize {
+    pub fn constraint(&self, row: usize, n: usize) -> ConstraintId {
         let s = (0..self.chain.segments).rev().find(|&s| self.row(s, n) <= row).unwrap_or(0);
         let i = row - self.row(s, n);
         if i < self.d {
@@ -150,7 +151,7 @@ impl ChainPlan {
     pub fn boundary_factor(&self, units: &[f64], row: usize, column: usize) -> f64 {
         let n = units.len();
         let of_column = if column < 2 * n { 1.0 / units[column % n] } else { 1.0 };
-        units[self.chain.boundary.states[row]] * of_column
+        units[self.chain.boundary.states[row].0] * of_column
     }
 
     /// Most ties of a segment.

@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 
 use super::ArrowKkt;
+use crate::index::VariableId;
 use crate::interrupt::current;
 
 /// Columns that are computed between two looks at the interrupt.
@@ -11,7 +12,7 @@ const COLUMNS: usize = 32;
 impl ArrowKkt {
     /// Computes the covariance from the reduced Hessian; returns whether all `wanted` variables are parameters and first
     /// states, for which this is possible.
-    pub(super) fn read_covariance(&mut self, wanted: &[usize], out: &mut [f64]) -> bool {
+    pub(super) fn read_covariance(&mut self, wanted: &[VariableId], out: &mut [f64]) -> bool {
         let (n, border, k) = (self.plan.shape.n, self.plan.shape.border, wanted.len());
         // With the end states that stay in the border beside the parameters.
         let size = self.diagonal.len();
@@ -33,17 +34,17 @@ impl ArrowKkt {
         let mut follow = DMatrix::zeros(k, size);
         let mut beside = DMatrix::<f64>::zeros(k, k);
         let mut found = 0;
-        for (row, &i) in wanted.iter().enumerate().filter(|w| *w.1 < border) {
-            follow[(row, i)] = 1.0;
+        for (row, &i) in wanted.iter().enumerate().filter(|w| w.1.0 < border) {
+            follow[(row, i.0)] = 1.0;
             found += 1;
         }
         for (plan, tree) in self.plan.chains.iter().zip(&self.forest.trees) {
-            let first = plan.chain.variable..plan.chain.variable + n;
+            let first = plan.chain.variable.0..plan.chain.variable.0 + n;
             let here: Vec<(usize, usize)> = wanted
                 .iter()
                 .enumerate()
-                .filter(|w| first.contains(w.1))
-                .map(|(row, i)| (row, i - first.start))
+                .filter(|w| first.contains(&w.1.0))
+                .map(|(row, i)| (row, i.0 - first.start))
                 .collect();
             if here.is_empty() {
                 continue;

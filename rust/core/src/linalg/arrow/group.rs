@@ -20,6 +20,7 @@ use super::products::Products;
 use super::run::Run;
 use super::shape::Shape;
 use super::vectors::axpy;
+use crate::index::ConstraintId;
 use crate::interrupt::Interrupt;
 use crate::linalg::KktError;
 use crate::simd::kernel;
@@ -171,7 +172,7 @@ kernel! {
             let mut growth: f64 = 0.0;
             for (p, (part, piece)) in shape.parts.iter().zip(&mut g.pieces).enumerate() {
                 if let Err(row) = piece.factorize(part, &plan.parts[p], along, (i, s), jacobian) {
-                    return Err(KktError::Dependent { row: plan.row(s, n) + part.row(row, n) });
+                    return Err(KktError::Dependent { row: ConstraintId(plan.row(s, n) + part.row(row, n)) });
                 }
                 if !all_finite(&piece.z) {
                     return Err(KktError::NotFinite);

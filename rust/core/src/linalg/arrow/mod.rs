@@ -62,8 +62,9 @@ use plan::Plan;
 use products::Products;
 use tree::add;
 
-use super::{Curvature, Effort, Entries, Factor, KktError, KktSolver, covariance_by_solving};
+use super::{Curvature, Direction, Effort, Entries, Factor, KktError, KktSolver, covariance_by_solving};
 use crate::dense::dot_of;
+use crate::index::VariableId;
 use crate::interrupt::current;
 use crate::nlp::{Chains, Structure};
 use crate::tape::lanes::all_finite;
@@ -108,7 +109,7 @@ pub struct ArrowKkt {
     solution: Vec<f64>,
     /// The remainder of a right-hand side in the border, and of that of its constraints, with nothing held.
     reduced: (Vec<f64>, Vec<f64>),
-    weak: Vec<Vec<(usize, f64)>>,
+    weak: Vec<Direction>,
     effort: Effort,
     is_eliminated: bool,
     /// Whether the entries of the last factorisation are kept for that: always where groups are split.
@@ -196,8 +197,8 @@ impl ArrowKkt {
     fn merge(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
         let shape = &self.plan.shape;
         self.outer.fill(0.0);
-        for &(entry, row, column) in &self.plan.border {
-            let (row, column, value) = (row as usize, column as usize, hessian[entry as usize]);
+        for at in &self.plan.border {
+            let (row, column, value) = (at.row as usize, at.column as usize, hessian[at.entry as usize]);
             self.outer[row * shape.border + column] += value;
             if row != column {
                 self.outer[column * shape.border + row] += value;
@@ -337,6 +338,9 @@ impl ArrowKkt {
     }
 }
 
+/// Weak direction of a part of the system, by the numbers of its own variables.
+type Local = Vec<(usize, f64)>;
+
 /// Zeros where a variable is held.
 fn clear_held(theta: &mut [f64], held: &[bool]) {
     theta.iter_mut().zip(held).filter(|(_, held)| **held).for_each(|(t, _)| *t = 0.0);
@@ -375,26 +379,26 @@ impl Factor for ArrowKkt {
             return Curvature { zero: 1, ..found };
         }
         for (tree, plan) in self.forest.trees.iter_mut().zip(&self.plan.chains) {
-            let before = self.weak.len();
-            let here = tree.top.eliminate(shape, shift, (&mut self.eliminated, size), &mut self.weak);
+            let mut weak = Vec::new();
+            let here = tree.top.eliminate(shape, shift, (&mut self.eliminated, size), &mut weak);
             found.negative += here.negative;
             found.zero += here.zero;
             // Ends of the chain as variables of the program.
-            let last = plan.chain.variable + plan.chain.segments * plan.d;
-            for direction in &mut self.weak[before..] {
-                for (i, _) in direction {
-                    *i = if *i < shape.n { plan.chain.variable + *i } else { last + *i - shape.n };
-                }
-            }
+            let (n, last) = (shape.n, plan.chain.variable + plan.chain.segments * plan.d);
+            let variable = |i: usize| if i < n { plan.chain.variable + i } else { last + (i - n) };
+            let direction = |of: Local| of.into_iter().map(|(i, part)| (variable(i), part)).collect();
+            self.weak.extend(weak.into_iter().map(direction));
         }
         if !found.is_positive() {
             return found;
         }
         let matrix = (&*self.eliminated, &*self.constraints);
-        let before = self.weak.len();
-        let found = self.border.factorize(matrix, &self.diagonal, &self.held, shift, &mut self.weak);
+        let mut weak = Vec::new();
+        let found = self.border.factorize(matrix, &self.diagonal, &self.held, shift, &mut weak);
         // End states that stay in the border are no variables of the program.
-        self.weak[before..].iter_mut().for_each(|direction| direction.retain(|(i, _)| *i < shape.border));
+        let of_border = |of: Local| of.into_iter().filter(|(i, _)| *i < shape.border);
+        let direction = |of: Local| of_border(of).map(|(i, part)| (VariableId(i), part)).collect();
+        self.weak.extend(weak.into_iter().map(direction));
         found
     }
 
@@ -459,11 +463,11 @@ impl Factor for ArrowKkt {
         }
     }
 
-    fn weak_directions(&self) -> &[Vec<(usize, f64)>] {
+    fn weak_directions(&self) -> &[Direction] {
         &self.weak
     }
 
-    fn covariance(&mut self, wanted: &[usize], out: &mut [f64]) {
+    fn covariance(&mut self, wanted: &[VariableId], out: &mut [f64]) {
         if !self.read_covariance(wanted, out) {
             covariance_by_solving(self, wanted, out);
         }

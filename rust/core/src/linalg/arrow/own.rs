@@ -35,7 +35,7 @@ impl Own {
     /// Takes a right-hand side of the program, into units and the order of own rows; `units` are 1/unit of each
     /// state, and its unit.
     pub fn take(&mut self, plan: &ChainPlan, (units, inverse): (&[f64], &[f64]), p: &[f64], q: &[f64]) {
-        let (n, variable, boundary) = (units.len(), plan.chain.variable, &plan.chain.boundary);
+        let (n, variable, boundary) = (units.len(), plan.chain.variable.0, &plan.chain.boundary);
         own_variables(plan, n, |program, own, count| {
             scale(&p[program..program + count], inverse, &mut self.x[own..own + count]);
         });
@@ -43,8 +43,8 @@ impl Own {
             scale(&q[program..program + count], units, &mut self.lambda[own..own + count]);
         });
         scale(&p[variable..variable + n], inverse, &mut self.first);
-        for ((to, q), &s) in self.boundary.iter_mut().zip(&q[boundary.row..]).zip(&boundary.states) {
-            *to = q * units[s];
+        for ((to, q), &s) in self.boundary.iter_mut().zip(&q[boundary.row.0..]).zip(&boundary.states) {
+            *to = q * units[s.0];
         }
     }
 
@@ -56,7 +56,7 @@ impl Own {
         d: &mut [f64],
         lambda: &mut [f64],
     ) {
-        let (n, variable, boundary) = (units.len(), plan.chain.variable, &plan.chain.boundary);
+        let (n, variable, boundary) = (units.len(), plan.chain.variable.0, &plan.chain.boundary);
         own_variables(plan, n, |program, own, count| {
             scale(&self.x[own..own + count], inverse, &mut d[program..program + count]);
         });
@@ -65,18 +65,18 @@ impl Own {
         });
         scale(&self.first, inverse, &mut d[variable..variable + n]);
         let own = self.boundary.iter().zip(&boundary.states);
-        for (to, (x, &s)) in lambda[boundary.row..].iter_mut().zip(own) {
-            *to = x * units[s];
+        for (to, (x, &s)) in lambda[boundary.row.0..].iter_mut().zip(own) {
+            *to = x * units[s.0];
         }
     }
 }
 
 fn own_variables(plan: &ChainPlan, n: usize, each: impl FnMut(usize, usize, usize)) {
-    stretches(plan, n, plan.chain.variable + n, |t| t.variable, each);
+    stretches(plan, n, plan.chain.variable.0 + n, |t| t.variable.0, each);
 }
 
 fn own_rows(plan: &ChainPlan, n: usize, each: impl FnMut(usize, usize, usize)) {
-    stretches(plan, n, plan.chain.row, |t| t.row, each);
+    stretches(plan, n, plan.chain.row.0, |t| t.row.0, each);
 }
 
 /// Calls `each` with the first place in the program, the first own row and the number of rows for all

@@ -49,23 +49,23 @@ impl Places {
         for (c, plan) in plans.iter().enumerate() {
             let (chain, d) = (&plan.chain, plan.d);
             for i in 0..states {
-                variables[chain.variable + i] = Place::new(c, 0, i);
+                variables[chain.variable.0 + i] = Place::new(c, 0, i);
             }
             for s in 0..chain.segments {
                 for i in 0..d {
-                    variables[chain.variable + states + s * d + i] = Place::new(c, s + 1, i);
-                    rows[chain.row + s * d + i] = Place::new(c, s + 1, i);
+                    variables[chain.variable.0 + states + s * d + i] = Place::new(c, s + 1, i);
+                    rows[chain.row.0 + s * d + i] = Place::new(c, s + 1, i);
                 }
             }
             for (t, tie) in chain.ties.iter().enumerate() {
                 let first = d + (t - plan.ties[tie.segment] as usize) * states;
                 for i in 0..states {
-                    variables[tie.variable + i] = Place::new(c, tie.segment + 1, first + i);
-                    rows[tie.row + i] = Place::new(c, tie.segment + 1, first + i);
+                    variables[tie.variable.0 + i] = Place::new(c, tie.segment + 1, first + i);
+                    rows[tie.row.0 + i] = Place::new(c, tie.segment + 1, first + i);
                 }
             }
             for i in 0..chain.boundary.states.len() {
-                rows[chain.boundary.row + i] = Place::new(c, BOUNDARY as usize, i);
+                rows[chain.boundary.row.0 + i] = Place::new(c, BOUNDARY as usize, i);
             }
         }
         Places { variables, rows }

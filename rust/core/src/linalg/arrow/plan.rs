@@ -8,13 +8,21 @@ use super::shape::{Shape, positions};
 use crate::interrupt::current;
 use crate::nlp::{Chains, Structure};
 
+/// An entry of the Hessian between two border variables.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BorderEntry {
+    pub entry: u32,
+    pub row: u32,
+    pub column: u32,
+}
+
 /// The whole structure.
 #[derive(Clone, Debug)]
 pub(super) struct Plan {
     pub shape: Shape,
     pub chains: Vec<ChainPlan>,
-    /// Hessian entries between border variables: (entry, row, column).
-    pub border: Vec<(u32, u32, u32)>,
+    /// Hessian entries between border variables.
+    pub border: Vec<BorderEntry>,
 }
 
 impl Plan {
@@ -181,10 +189,10 @@ fn points_by_panel(
 }
 
 /// Entries of the Hessian between border variables: (entry, row, column).
-fn between_border(hessian: &Structure, border: usize) -> Vec<(u32, u32, u32)> {
+fn between_border(hessian: &Structure, border: usize) -> Vec<BorderEntry> {
     let entry = |t: usize| {
         let (low, high) = ends(hessian, t);
-        (high < border).then_some((t as u32, high as u32, low as u32))
+        (high < border).then_some(BorderEntry { entry: t as u32, row: high as u32, column: low as u32 })
     };
     (0..hessian.len()).filter_map(entry).collect()
 }

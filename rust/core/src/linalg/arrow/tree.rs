@@ -107,7 +107,7 @@ impl Tree {
         // Groups number the rows of their chain.
         done.map_err(|error| match error {
             KktError::Dependent { row } => {
-                KktError::Dependent { row: context.plan.constraint(row, context.shape.n) }
+                KktError::Dependent { row: context.plan.constraint(row.0, context.shape.n) }
             }
             other => other,
         })

@@ -29,13 +29,14 @@ mod products;
 mod reduced;
 mod rows;
 
-use super::{Curvature, Effort, Entries, Factor, KktError, KktSolver};
+use super::{Curvature, Direction, Effort, Entries, Factor, KktError, KktSolver};
+use crate::index::{ConstraintId, VariableId};
 use crate::interrupt::current;
 use crate::nlp::Structure;
 use crate::tape::lanes::all_finite;
 use basis::Basis;
 use reduced::Reduced;
-use rows::Rows;
+use rows::{Rows, Triplet};
 
 /// Most steps of refinement.
 const REFINEMENTS: usize = 3;
@@ -70,7 +71,7 @@ pub struct SparseKkt {
     is_assembled: bool,
     held: Vec<bool>,
     shift: f64,
-    weak: Vec<Vec<(usize, f64)>>,
+    weak: Vec<Direction>,
     /// Right-hand side, solution, correction, residual in units.
     right: System,
     solution: System,
@@ -115,14 +116,18 @@ impl SparseKkt {
         let mut symmetric = Vec::with_capacity(2 * hessian.len());
         for (number, (&row, &column)) in hessian.rows.iter().zip(&hessian.columns).enumerate() {
             let factor = scale[row as usize] * scale[column as usize];
-            symmetric.push((row, column, number as u32, factor));
+            let number = number as u32;
+            symmetric.push(Triplet { row, column, number, factor });
             if row != column {
-                symmetric.push((column, row, number as u32, factor));
+                symmetric.push(Triplet { row: column, column: row, number, factor });
             }
         }
         let places = jacobian.rows.iter().zip(&jacobian.columns).enumerate();
         let jacobian = places
-            .map(|(number, (&r, &c))| (r, c, number as u32, scale[c as usize] / row_scale[r as usize]))
+            .map(|(number, (&row, &column))| {
+                let factor = scale[column as usize] / row_scale[row as usize];
+                Triplet { row, column, number: number as u32, factor }
+            })
             .collect();
         let a = Rows::new(m, jacobian);
         let system = System::new(n, m);
@@ -237,12 +242,13 @@ impl SparseKkt {
             let length = (0..self.n).map(|i| part(i).powi(2)).sum::<f64>().sqrt();
             let largest = (0..self.n).fold(0.0f64, |a, i| a.max(part(i).abs()));
             let named = (0..self.n).filter(|&i| part(i).abs() >= MINOR * largest && part(i) != 0.0);
-            let mut parts: Vec<(usize, f64)> = named.map(|i| (i, part(i) / length)).collect();
+            let mut parts: Direction = named.map(|i| (VariableId(i), part(i) / length)).collect();
             parts.sort_by(|x, y| y.1.abs().total_cmp(&x.1.abs()));
             self.weak.push(parts);
         }
         self.g = d;
-        self.weak.extend(self.reduced.holding().immovable().iter().map(|&v| vec![(v as usize, 1.0)]));
+        self.weak
+            .extend(self.reduced.holding().immovable().iter().map(|&v| vec![(VariableId(v as usize), 1.0)]));
     }
 }
 
@@ -265,7 +271,7 @@ impl KktSolver for SparseKkt {
         if current().stops() {
             return Err(KktError::Stopped);
         }
-        found.map_err(|row| KktError::Dependent { row })?;
+        found.map_err(|row| KktError::Dependent { row: ConstraintId(row) })?;
         self.replace_hessian(entries)?;
         Ok(self)
     }
@@ -347,7 +353,7 @@ impl Factor for SparseKkt {
         }
     }
 
-    fn weak_directions(&self) -> &[Vec<(usize, f64)>] {
+    fn weak_directions(&self) -> &[Direction] {
         &self.weak
     }
 

@@ -4,7 +4,8 @@ use faer::diag::DiagMut;
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::cholesky::llt;
 use faer::linalg::evd::{self, ComputeEigenvectors};
-use faer::prelude::default;
+use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
+use faer::prelude::{ReborrowMut, default};
 use faer::{MatMut, MatRef, Par};
 
 use super::basis::Basis;
@@ -230,7 +231,11 @@ impl Reduced {
                 }
             }
         } else {
-            cholesky_solve(&self.factor, u);
+            let k = u.len();
+            let factor = MatRef::from_column_major_slice(&self.factor[..k * k], k, k);
+            let mut right = MatMut::from_column_major_slice_mut(u, k, 1);
+            solve_lower_triangular_in_place(factor, right.rb_mut(), Par::Seq);
+            solve_upper_triangular_in_place(factor.transpose(), right, Par::Seq);
         }
         for (value, row) in first.iter_mut().zip(rows()) {
             *value -= row[held..].iter().zip(&*u).map(|(m, u)| m * u).sum::<f64>();
@@ -254,19 +259,5 @@ impl Reduced {
 fn scale_both(matrix: &mut [f64], by: &[f64]) {
     for (row, i) in matrix.chunks_exact_mut(by.len().max(1)).zip(by) {
         row.iter_mut().zip(by).for_each(|(value, j)| *value *= i * j);
-    }
-}
-
-/// Solves L Lᵀ u = b in place, L column-major.
-fn cholesky_solve(l: &[f64], u: &mut [f64]) {
-    let k = u.len();
-    for i in 0..k {
-        u[i] /= l[i * k + i];
-        let (done, rest) = u.split_at_mut(i + 1);
-        rest.iter_mut().zip(&l[i * k + i + 1..(i + 1) * k]).for_each(|(u, l)| *u -= l * done[i]);
-    }
-    for i in (0..k).rev() {
-        let sum: f64 = l[i * k + i + 1..(i + 1) * k].iter().zip(&u[i + 1..]).map(|(l, u)| l * u).sum();
-        u[i] = (u[i] - sum) / l[i * k + i];
     }
 }

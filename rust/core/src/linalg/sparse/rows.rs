@@ -2,6 +2,14 @@
 
 use std::ops::Range;
 
+/// An entry by its number, and what it is multiplied by.
+pub(super) struct Triplet {
+    pub row: u32,
+    pub column: u32,
+    pub number: u32,
+    pub factor: f64,
+}
+
 /// A sparse matrix by rows: entries at one place are added up, all are scaled.
 #[derive(Clone, Debug)]
 pub(super) struct Rows {
@@ -13,14 +21,14 @@ pub(super) struct Rows {
 }
 
 impl Rows {
-    /// Lays out triplets (row, column, number, factor).
-    pub fn new(rows: usize, mut triplets: Vec<(u32, u32, u32, f64)>) -> Rows {
-        triplets.sort_unstable_by_key(|&(row, column, number, _)| (row, column, number));
+    /// Lays out triplets.
+    pub fn new(rows: usize, mut triplets: Vec<Triplet>) -> Rows {
+        triplets.sort_unstable_by_key(|t| (t.row, t.column, t.number));
         let mut start = vec![0; rows + 1];
         let mut column: Vec<u32> = Vec::with_capacity(triplets.len());
         let mut sources = Vec::with_capacity(triplets.len());
         let mut last = None;
-        for (row, col, number, factor) in triplets {
+        for Triplet { row, column: col, number, factor } in triplets {
             if last != Some((row, col)) {
                 last = Some((row, col));
                 start[row as usize + 1] += 1;

@@ -83,16 +83,16 @@ def unsigned_sensor(fit: FitResult) -> UnsignedSensor | None:
     """
     data, model = dataset(fit), fit.model
     for name in model.output_names:
-        measured = [e.output(name) for e in data]
-        if not _may_be_size([y[np.isfinite(y)] for y in measured]):
+        measured = [y[np.isfinite(y)] for y in (e.output(name) for e in data)]
+        measured = [y for y in measured if y.size]
+        if not _may_be_size(measured):
             continue
-        residuals = np.concatenate([r.residuals[name] for r in fit.records])
-        before = float(np.nanmean(residuals**2))
         values = np.concatenate(measured)
-        values = values[np.isfinite(values)]
+        # A path that ended infeasible has no residuals.
+        before = _mean_square(fit, name) if fit.feasible else float(np.var(values))
         if before < _LEFT_BY_SIZE * float(np.var(values)):  # the model follows it as it is
             continue
-        width = max(max(map(noise_of, measured)), _ROUNDED_SIZE * float(values.max()))
+        width = max(*map(noise_of, measured), _ROUNDED_SIZE * float(values.max()))
         equations = model._right_hand_sides()
         equations["output", name] = Expr(smooth_abs(equations["output", name], width))
         try:
@@ -101,19 +101,19 @@ def unsigned_sensor(fit: FitResult) -> UnsignedSensor | None:
             continue
         if found.status == "interrupted":
             raise KeyboardInterrupt
-        after = float(np.nanmean(np.concatenate([r.residuals[name] for r in found.records]) ** 2))
-        if found.status in ENDED_WELL and after < _LEFT_BY_SIZE * before:
+        if found.status in ENDED_WELL and (after := _mean_square(found, name)) < _LEFT_BY_SIZE * before:
             return UnsignedSensor(name, found, 1.0 - after / before)
     return None
 
 
+def _mean_square(fit: FitResult, name: str) -> float:
+    return float(np.nanmean(np.concatenate([r.residuals[name] for r in fit.records]) ** 2))
+
+
 def _may_be_size(records: Sequence[NDArray[np.float64]]) -> bool:
     """Tell whether values are never negative but for noise, and often near zero between larger ones."""
-    records = [y for y in records if y.size]
-    if not records:
-        return False
-    largest = max(float(y.max()) for y in records)
-    if any(float(y.min()) < -_BELOW * noise_of(y) for y in records) or largest <= 0.0:
+    largest = max((float(y.max()) for y in records), default=0.0)
+    if largest <= 0.0 or any(float(y.min()) < -_BELOW * noise_of(y) for y in records):
         return False
     dips = 0
     for y in records:

@@ -9,8 +9,8 @@ use crate::simd::kernel;
 /// Over gaps longer than this, variances are the stationary ones less the remaining knowledge; else they are summed
 /// up step by step, which loses no digits.
 const LONG: usize = 64;
-/// Of noise with errors smaller than this part of its standard deviation nothing is known past a gap: covariances of its
-/// values in a row differ by less than their digits tell, and Kalman's filter would be of any size.
+/// Least ratio of the standard deviation of the errors to that of the noise at which something is known past a gap. Below
+/// it the covariances of values in a row differ by less than their digits tell, and Kalman's filter would be of any size.
 const PREDICTABLE: f64 = 1e-5;
 /// Samples that are predicted together: they stay in the first cache.
 const AT_ONCE: usize = 512;

@@ -150,9 +150,9 @@ def record_changes(search: Search, result: SearchResult) -> tuple[Refit | None, 
         merit = found.merit - search.chances(at) - 0.5 * unknowns * float(np.log(at.linear.n_rows))
         if chosen and merit > best and _explained(at, at, found).part > _PART:
             best, options = merit, chosen
-    # Minor findings and surrogates stand for something else: this may be it.
+    # Minor findings and surrogates stand for something else: this may be it, if it is likelier than they are.
     final = result.final
-    if best <= final.merit - search.chances(final) + _MARGIN:
+    if best <= max(final.merit - search.chances(final) + _MARGIN, full.merit - search.chances(full)):
         return None, [], []
     current, changes = base, []
     for option, aliases in options:

@@ -53,6 +53,7 @@ MINOR = dataclasses.replace(
     explained_interval=(-0.004, 0.03),
     explained_outputs={"q": 0.01, "theta": 0.002},
 )
+UNCERTAIN = dataclasses.replace(MINOR, explained=0.6, explained_interval=(-0.4, 1.0))
 UNEXPLAINED = dataclasses.replace(
     SURROGATE, cause="", status="unexplained", coefficient=NAN, std_error=NAN, interval=(NAN, NAN), held_out_gain=NAN
 )
@@ -262,6 +263,7 @@ def test_page_without_candidates_or_held_out_data(diagnosis: Any, extension: Ext
         ([FINDING], "named", "The model misses one of {q':q|q|, q':q^2}."),
         ([SURROGATE], "unexplained", "de:scale is a surrogate, which fits in place of something else"),
         ([MINOR], "unexplained", "Minor: q:bias, which explains next to nothing."),
+        ([UNCERTAIN], "unexplained", "q:bias is significant, but what it explains of data held out may be chance."),
         ([FINDING, MINOR], "named", "The model misses one of {q':q|q|, q':q^2}. Minor: q:bias, which explains next"),
         ([FINDING, UNEXPLAINED], "named", "A part of the misfit stays without an established cause."),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import textwrap
+from collections.abc import Sequence
 from typing import Any, Literal
 
 from ...figures.fit import sigmas_of
@@ -15,6 +16,7 @@ from ...parameters import Estimate
 from ...writing import PAGES, check_folder, check_suffix, write
 from ..misfit.misfit import Misfit, misfit
 from ..misfit.phrases import number, percent, what_stands_out, with_unit
+from ..search.evidence import AssessmentSettings
 from ..search.finding import DiagnosisResult, ExtensionResult, Finding
 from .figures import curve_figure, explained_figure, findings_figure, gain_figure, ranking_figure
 
@@ -69,15 +71,26 @@ def headline(diagnosis: DiagnosisResult) -> str:
             text += f" The residual of {most.name} is {number(most.ratio, 2)} times its noise."
     else:
         text = "Nothing significant is missing from the model, as far as these data and these candidates tell."
-    minor = [f.cause for f in findings if f.status == "minor"]
-    if minor:
-        text += f" Minor: {', '.join(minor)}, which {'explains' if len(minor) == 1 else 'explain'} next to nothing."
+    text += _minor([f for f in findings if f.status == "minor"])
     surrogates = [f.cause for f in findings if f.status == "surrogate"]
     if surrogates:
         what = "are surrogates, which fit" if len(surrogates) > 1 else "is a surrogate, which fits"
         text += f" {', '.join(surrogates)} {what} in place of something else: the cause itself may be another."
     if named:
         text += _remaining(diagnosis)
+    return text
+
+
+def _minor(findings: Sequence[Finding]) -> str:
+    """Return sentences on minor findings: those that explain little, and those of which the data held out tell little."""
+    little = [f.cause for f in findings if not f.explained > AssessmentSettings.minor]
+    open_ = [f.cause for f in findings if f.explained > AssessmentSettings.minor]
+    text = ""
+    if little:
+        text += f" Minor: {', '.join(little)}, which {'explains' if len(little) == 1 else 'explain'} next to nothing."
+    if open_:
+        what = "is significant, but what it explains" if len(open_) == 1 else "are significant, but what they explain"
+        text += f" {', '.join(open_)} {what} of data held out may be chance."
     return text
 
 

@@ -82,7 +82,7 @@ def headline(diagnosis: DiagnosisResult) -> str:
 
 
 def _minor(findings: Sequence[Finding]) -> str:
-    """Return sentences on minor findings: those that explain little, and those of which the data held out tell little."""
+    """Return sentences on minor findings: those that explain little, and those that may explain much by chance."""
     little = [f.cause for f in findings if not f.explained > AssessmentSettings.minor]
     open_ = [f.cause for f in findings if f.explained > AssessmentSettings.minor]
     text = ""

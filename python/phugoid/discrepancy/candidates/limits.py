@@ -294,7 +294,7 @@ class EndStop(_StateEffect):
 _SETTLES = 1.5
 # Corners are rounded over this part of the range of the command, and of a play that is small beside it, but over the
 # last part of that range at least.
-_ROUNDED, _OF_PLAY, _SHARPEST = 0.003, 0.1, 1e-4
+_ROUNDED, _OF_PLAY, _SHARPEST = 0.003, 0.03, 1e-4
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -200,7 +200,7 @@ mod tests {
     /// Residuals of a simulation that has left its record: of ten coefficients, next to nothing is new.
     #[test]
     fn gaps_in_noise_that_is_nearly_predictable_leave_errors_finite() {
-        let reflections = [
+        let reflections: [f64; 10] = [
             0.995_665_55,
             -0.994_635_61,
             0.979_315_02,
@@ -217,7 +217,7 @@ mod tests {
             let before: &Vec<f64> = coefficients.last().unwrap();
             let mut next: Vec<f64> = before.iter().zip(before.iter().rev()).map(|(a, b)| a - k * b).collect();
             next.push(k);
-            sigmas.push(sigmas.last().unwrap() * (1.0 - k * k as f64).sqrt());
+            sigmas.push(sigmas.last().unwrap() * (1.0 - k * k).sqrt());
             coefficients.push(next);
         }
         let model = Predictors::new(coefficients, sigmas);

@@ -353,7 +353,7 @@ def test_pages_show_what_their_code_prints_and_draws(switch: str, tmp_path: Path
     reason="building the documentation needs the extra 'docs'",
 )
 def test_pages_build_without_a_warning(tmp_path: Path) -> None:
-    """Without running the gallery and the pages, which have tests of their own."""
+    """The gallery and the code of the pages are left out: they have tests of their own."""
     source = tmp_path / "docs"
     shutil.copytree(DOCS, source, ignore=shutil.ignore_patterns("_build", "examples", "__pycache__"))
     for name in ("CHANGELOG.md", "CONTRIBUTING.md", "README.md"):

@@ -121,7 +121,7 @@ fn of_nalgebra() {
     }
 }
 
-/// As the kernels of the crate are compiled on machines of this kind.
+/// Eliminates a panel, compiled for the instruction sets of the crate's kernels on machines of this kind.
 #[cfg_attr(target_arch = "x86_64", target_feature(enable = "avx2,fma"))]
 fn eliminate(panel: &mut [f64], d: usize, width: usize, lu: &mut [f64], pivots: &mut [u16]) {
     let length = d.next_multiple_of(8) + width;

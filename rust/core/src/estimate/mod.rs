@@ -139,7 +139,7 @@ impl<'a> Estimation<'a> {
         }
     }
 
-    /// How the estimation becomes a nonlinear program: collocation of order 4 with one segment between samples, unless said.
+    /// The nonlinear program that the estimation becomes: collocation of order 4 with one segment between samples, unless said.
     pub fn transcription(mut self, transcription: impl Into<Transcription>) -> Self {
         self.transcription = transcription.into();
         self

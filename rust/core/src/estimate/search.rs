@@ -19,7 +19,7 @@ pub(super) struct Search<'a> {
     pub without: usize,
     pub returns: usize,
     pub again: usize,
-    /// Where it began, and the random draws.
+    /// The start, and the random draws.
     pub values: Values,
     pub draws: Draws<'a>,
 }

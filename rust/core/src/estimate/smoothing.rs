@@ -80,7 +80,7 @@ pub struct Smoothing {
     pub widths: Vec<KinkWidth>,
     /// The passes, the last the one that the fit holds.
     pub steps: Vec<SmoothingStep>,
-    /// What is left in error of each parameter.
+    /// The error that is left of each parameter.
     pub left: Vec<LeftInError>,
 }
 

@@ -12,7 +12,7 @@ pub type ParameterMap = IndexVec<ParameterId, VariableId>;
 /// each, or one an experiment.
 #[derive(Clone, Debug)]
 pub struct Estimands {
-    /// For each variable its parameter.
+    /// The parameter of each variable.
     pub parameter: IndexVec<VariableId, ParameterId>,
     /// The experiment that it belongs to; `None` for all.
     pub experiment: IndexVec<VariableId, Option<ExperimentId>>,

@@ -2,7 +2,7 @@
 
     python tools/saved_model.py
 
-writes rust/core/tests/data/saved_model.json, which rust/core/tests/saved_model.rs reads; tests/test_saved_model.py
+writes rust/core/tests/suite/data/saved_model.json, which rust/core/tests/suite/saved_model.rs reads; tests/test_saved_model.py
 sees to it that the file is what this script makes. Numbers are the 16 hexadecimal digits of their 64 bits, one after
 the other.
 """
@@ -16,7 +16,7 @@ import numpy as np
 import phugoid as ph
 from phugoid import _core, atan2, cos, exp, log, maximum, sin, sqrt, tanh, where
 
-FIXTURE = Path(__file__).resolve().parents[1] / "rust" / "core" / "tests" / "data" / "saved_model.json"
+FIXTURE = Path(__file__).resolve().parents[1] / "rust" / "core" / "tests" / "suite" / "data" / "saved_model.json"
 
 ORDER, FACTOR = 3, 0.7
 POINTS, SAMPLES = 5, (6, 4)

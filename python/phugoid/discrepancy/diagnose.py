@@ -27,6 +27,7 @@ from .search.data_suspects import (
     UnsignedSensor,
     unsigned_sensor,
     with_changes,
+    with_inputs_as_recorded,
     with_inputs_as_sampled,
     with_proposals,
     with_record_changes,
@@ -298,6 +299,7 @@ def diagnose(
             ranking, interrupted = _ranked(search, base)
             if not interrupted:
                 interrupted = with_proposals(search, lambda near: candidates_given(fit, candidates, near))
+            as_recorded = search
             if not interrupted:
                 following, interrupted = with_recorded_input(search)
                 while following is not None:
@@ -310,6 +312,8 @@ def diagnose(
             if not interrupted:
                 result = search.run()
                 interrupted = result.interrupted
+            if not interrupted:
+                search, result, between, interrupted = with_inputs_as_recorded(as_recorded, search, result, between)
             before = search
             if not interrupted and segments is None:
                 search, result, changes, interrupted = with_record_changes(search, result)

@@ -31,6 +31,7 @@ __all__ = [
     "UnsignedSensor",
     "unsigned_sensor",
     "with_changes",
+    "with_inputs_as_recorded",
     "with_inputs_as_sampled",
     "with_proposals",
     "with_record_changes",
@@ -162,6 +163,31 @@ def with_recorded_input(search: Search) -> tuple[RecordedInput | None, bool]:
         return None, False
     except KeyboardInterrupt:
         return None, True
+
+
+def with_inputs_as_recorded(
+    first: Search, search: Search, result: SearchResult, between: list[RecordedInput]
+) -> tuple[Search, SearchResult, list[RecordedInput], bool]:
+    """Return the search on the records as they are, where what was found is likelier with their inputs than with those
+    that were thought to act, for half a sample of an input does a little of what many causes do; and whether it was
+    interrupted."""
+    if not between or not result.final.candidates:
+        return search, result, between, False
+    try:
+        first.cache.watch("comparing what was found with the inputs as they are recorded")
+        # Terms that came later may mend what an input that acts otherwise has done: the first alone is asked, too.
+        terms = result.final.candidates
+        as_thought = [r for k in {1, len(terms)} if (r := search.cache.refit(terms[:k])) is not None]
+        records = dataset(first.cache.base.fit)
+        if not any((same := fitted_to(r, records)) is not None and same.merit > r.merit for r in as_thought):
+            return search, result, between, False
+        again = first.run()
+        better = again.final.merit - first.chances(again.final) > result.final.merit - search.chances(result.final)
+        return (first, again, [], again.interrupted) if better else (search, result, between, False)
+    except (PhugoidError, np.linalg.LinAlgError):
+        return search, result, between, False
+    except KeyboardInterrupt:
+        return search, result, between, True
 
 
 def with_record_changes(search: Search, result: SearchResult) -> tuple[Search, SearchResult, list[RecordChange], bool]:

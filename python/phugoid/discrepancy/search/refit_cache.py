@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
-from ...errors import PhugoidError
+from ...errors import EvaluationError, PhugoidError
 from ...fit_result import FitResult
 from ...frozen_model import freed_by_default
 from ...residual_noise.whitening import Whitening
@@ -26,7 +26,7 @@ __all__ = ["RefitCache"]
 _Array = NDArray[np.float64]
 
 # Parts of a start at which candidates begin, too, that may end at several optima: where they explain this part of the
-# residuals' power or more to first order, for small effects are nearly linear.
+# power of the base's residuals or more to first order, for small effects are nearly linear.
 _STARTS, _LARGE = (0.4, 1.6, 0.25, 0.65), 0.1
 # Two ends at the likeliest optimum so far, alike to this in log-likelihood, or so many starts that come to no end,
 # leave little to be found.
@@ -89,8 +89,10 @@ class RefitCache:
             for c in candidates:
                 starts |= self._starts.get(c.name, {})
             found = self._likeliest(candidates, starts, near)
-            if found is not None:
-                _ = found.merit  # here, for it takes as long
+            try:
+                _ = found and found.merit  # here, for it takes as long
+            except EvaluationError:  # it cannot be linearised: nothing is known of its parameters
+                return None
             return found
 
         for candidates in new.values():
@@ -115,7 +117,8 @@ class RefitCache:
         """Return the likeliest refit of a set from several starts of candidates that need them and are new."""
         known = near.parameters if near else {}
         points = self.base.linear.points
-        shares = {c.name: self._share(c, candidates) for c in candidates}
+        left = self._left(near)
+        shares = {c.name: left * self._share(c, candidates) for c in candidates}
         new = [c for c in candidates if c.several_starts and c.shape_names[0] not in known and shares[c.name] > _LARGE]
         best = refit(self.base.fit, candidates, starts, near, points)
         elsewhere = self.proposed.get(candidates[-1].name) if candidates else None
@@ -130,7 +133,7 @@ class RefitCache:
                 for k in (0, len(last.shapes) // 2):
                     best = best or refit(self.base.fit, candidates, {**starts, **last.shapes[k]}, near, points)
         ends = [best]
-        if any(c.begins_measured and c.shape_names[0] not in known for c in candidates):
+        if left > _LARGE and any(c.begins_measured and c.shape_names[0] not in known for c in candidates):
             ends.append(refit(self.base.fit, candidates, starts, near, measured=True))
         for c in new:
             name = c.shape_names[0]
@@ -149,6 +152,18 @@ class RefitCache:
                 ends.append(refit(self.base.fit, candidates, {**starts, **shape}, near, points))
                 failed += ends[-1] is None
         return max((r for r in ends if r is not None), key=lambda r: r.fit.log_likelihood, default=None)
+
+    def _left(self, near: FitResult | None) -> float:
+        """Return the part of the power of the base's residuals that a fit leaves in the output with the most."""
+        if near is None:
+            return 1.0
+        left = []
+        for name in self.base.fit.model.output_names:
+            before, now = (
+                sum(float(np.nansum(r.residuals[name] ** 2)) for r in f.records) for f in (self.base.fit, near)
+            )
+            left.append(now / before if before > 0.0 else 1.0)
+        return min(max(left), 1.0)
 
     def _share(self, candidate: Candidate, among: Sequence[Candidate]) -> float:
         """Return the part of the residuals' power that a candidate explains to first order beside the others of a set;

@@ -364,8 +364,11 @@ def _thin(e: Experiment, k: int) -> Experiment:
     signals: dict[str, Signal] = {}
     inputs = {}
     for name, u in e.inputs.items():
-        held = e.interpolation_of(name) == "hold"
-        if noisy and not held:
+        if noisy and e.interpolation_of(name) == "hold":
+            # As much of it acts in each interval: a mesh with every step of a controller's output would be no thinner.
+            begins = np.r_[0, np.arange(k // 2, u.size // k * k, k), u.size - 1]
+            inputs[name] = np.r_[np.add.reduceat(u[:-1], begins[:-1]) / np.diff(begins), u[-1]]
+        elif noisy:
             inputs[name] = np.concatenate([u[:1], _means(u, k), u[-1:]])
         else:
             inputs[name] = np.concatenate([u[:1], _middles(u, k), u[-1:]])

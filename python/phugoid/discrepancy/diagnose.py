@@ -46,6 +46,7 @@ from .search.findings import (
     no_optimum,
 )
 from .search.other_laws import other_laws, words_of_laws
+from .search.parts import parts_of
 from .search.record_change import RecordChange
 from .search.recorded_input import RecordedInput, SampledInputs
 from .search.refit import Refit
@@ -269,6 +270,9 @@ def diagnose(
     thin = thinned(base, others) if restart is None else None
     if thin is not None:
         base, others, fit = thin.base, thin.validation, thin.base.fit
+    parts = parts_of(base, others) if restart is None or restart.segments is None else None
+    if parts is not None:
+        base, others, fit = parts.base, parts.validation, parts.base.fit
     segments = restart.segments if restart is not None and restart.segments else segments_of(base, others)
     if segments is not None:
         base, others, fit = segments.base, segments.validation, segments.base.fit
@@ -315,7 +319,7 @@ def diagnose(
             if not interrupted:
                 search, result, between, interrupted = with_inputs_as_recorded(as_recorded, search, result, between)
             before = search
-            if not interrupted and segments is None:
+            if not interrupted and segments is None and not (parts is not None and parts.several):
                 search, result, changes, interrupted = with_record_changes(search, result)
             if not interrupted:
                 search, result, sampled, interrupted = with_inputs_as_sampled(search, result)
@@ -327,7 +331,9 @@ def diagnose(
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
             final, found = result.final, result.found
             kept = final if interrupted else search.shared(final)
-            findings = [finding_of(result, f, _is_minor(search, result, f, kept), kept) for f in found]
+            # Of long records the parts were searched.
+            every = parts.estimated(kept) if parts is not None and not interrupted else None
+            findings = [finding_of(result, f, _is_minor(search, result, f, kept), every or kept) for f in found]
             told = [b for b in between if b.kind != "cubic"]
             units, margin = fit.model.units, RemainderSettings().margin
             held = [finding_of_recorded_input(b, margin, units.get(b.name, "")) for b in told]
@@ -345,6 +351,8 @@ def diagnose(
                 findings.append(finding_of_remainder(remainder, fit, RemainderSettings().margin))
             extension = search.extension(kept, known=interrupted)
             full = search.extension(result.full, known=interrupted) if result.full is not kept else None
+            if parts is not None:
+                extension = parts.extension(extension, every)
             if changes:
                 extension = with_changes(extension, before, changes)
                 full = full and with_changes(full, before, changes)
@@ -376,11 +384,14 @@ def diagnose(
             *notes,
             *words_of_inputs(between, sampled),
             *([segments.note] if segments else []),
+            *([parts.note] if parts else []),
             *([thin.note] if thin else []),
         )
         notes = (*([restart.words] if restart else []), *([unfitted] if unfitted else []), *notes)
         # An input that is held is a finding; one that was sampled slowly is none, nor what comes of it.
         diagnosed = corrected.fit if sampled or any(b.kind == "cubic" for b in between) else fit
+        if parts is not None and diagnosed is fit:
+            diagnosed = parts.whole.fit
         return DiagnosisResult(
             fit=diagnosed,
             findings=tuple(findings),

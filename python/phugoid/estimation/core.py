@@ -44,6 +44,7 @@ class Earlier:
     solution: Solution | None = None
     shooting: bool = False
     near: bool = False
+    smoothed: tuple[list[tuple[str, float]], int, list[list[float]], list[tuple[str, float]]] | None = None
 
     @staticmethod
     def of(fit: FitResult | EquationError, noise: Noise) -> Earlier:
@@ -52,7 +53,7 @@ class Earlier:
         if isinstance(fit, EquationError):
             return Earlier(fit.as_start(), paths)
         shooting = not isinstance(fit.transcription, Collocation)
-        return Earlier(fit.as_start(noise), paths, fit.solution, shooting, near=True)
+        return Earlier(fit.as_start(noise), paths, fit.solution, shooting, near=True, smoothed=_smoothed(fit))
 
     def _spec(self) -> dict[str, Any]:
         s = self.solution
@@ -61,7 +62,19 @@ class Earlier:
             for t, states in self.paths
         ]
         multipliers = None if s is None else (s.xi.size, s.multipliers, s.bound_multipliers, self.shooting)
-        return {"values": list(self.values.items()), "paths": paths, "multipliers": multipliers, "near": self.near}
+        return {"values": list(self.values.items()), "paths": paths, "multipliers": multipliers, "near": self.near, "smoothed": self.smoothed}
+
+
+def _smoothed(fit: FitResult) -> tuple[list[tuple[str, float]], int, list[list[float]], list[tuple[str, float]]] | None:
+    """Return how kinks were smoothed in the last pass: widths, the mesh of that pass, and what it left in error."""
+    s, mesh = fit.smoothing, fit.transcription
+    if s is None or not isinstance(mesh, Collocation):
+        return None
+    edges = [edges for _, _, edges in mesh.grids(fit.experiments)]
+    if any(e is None for e in edges):
+        return None
+    widths = [(kink, width) for kink, (width, _) in s.widths.items()]
+    return widths, mesh.order, edges, [(name, change) for name, (change, _) in s.left.items()]
 
 
 def estimated(

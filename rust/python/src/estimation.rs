@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use numpy::{PyArray1, PyReadonlyArray1};
 use phugoid::Estimation;
 use phugoid::collocation;
-use phugoid::estimate::{Beginning, Earlier, Multipliers, Path, Problem, Solver};
+use phugoid::estimate::{Beginning, Earlier, Multipliers, Path, Problem, Smoothed, Solver};
 use phugoid::interrupt::{Interrupt, current};
 use phugoid::nlp::NotFinite;
 use phugoid::noise::NoiseModel;
@@ -68,7 +68,11 @@ pub struct EarlierSpec<'py> {
     /// Number of variables, multipliers of the constraints and of the bounds, whether of shooting.
     multipliers: Option<(usize, Array<'py>, Option<Pair<'py>>, bool)>,
     near: bool,
+    smoothed: Option<SmoothedSpec>,
 }
+
+/// Widths of kinks, points of a segment, ends of segments for each experiment, and what was left in error.
+type SmoothedSpec = (Vec<(String, f64)>, usize, Vec<Vec<f64>>, Vec<(String, f64)>);
 
 impl From<EarlierSpec<'_>> for Earlier {
     fn from(spec: EarlierSpec<'_>) -> Self {
@@ -88,6 +92,12 @@ impl From<EarlierSpec<'_>> for Earlier {
             paths: spec.paths.iter().map(path).collect(),
             multipliers,
             near: spec.near,
+            smoothed: spec.smoothed.map(|(widths, order, edges, left)| Smoothed {
+                widths,
+                order,
+                edges,
+                left,
+            }),
         }
     }
 }

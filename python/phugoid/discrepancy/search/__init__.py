@@ -273,7 +273,6 @@ class Search:
         base, assess = self.cache.base, self.assessment
         more = len(final.fit.model.parameter_names) - len(base.fit.model.parameter_names)
         white = final.fit.log_likelihood - base.fit.log_likelihood
-        names = base.fit.model.output_names
         before, after = (assess.held_out_rms(r, known) for r in (base, final))
         held_out = 0.0
         if final.candidates:
@@ -284,18 +283,12 @@ class Search:
             log_likelihood_whitened=assess.gain(base, final) / 2 if final.candidates else 0.0,
             bic=-2.0 * white + more * float(np.log(base.linear.n_rows)),
             held_out=held_out,
-            rms_before=_rms(base, names),
-            rms_after=_rms(final, names),
+            rms_before=base.rms,
+            rms_after=final.rms,
             held_out_rms_before=before,
             held_out_rms_after=after,
         )
         return ExtensionResult(final.fit.model, final.fit, final.names, gain)
-
-
-def _rms(at: Refit, names: Sequence[str]) -> dict[str, float]:
-    """Output -> RMS of the residuals over all records."""
-    each = {name: np.concatenate([r.residuals[name] for r in at.fit.records]) for name in names}
-    return {name: float(np.sqrt(np.nanmean(r**2))) for name, r in each.items()}
 
 
 def _rest_rings(frequencies: Sequence[float]) -> str:

@@ -52,6 +52,8 @@ BENDS, _NODES = (0.25, 0.1, 0.04), 2.5
 _FEW_LEVELS = 3
 # Part of the squares of a time history that an event holds, within this part of the time.
 _EVENT, _SHORT = 0.7, 0.2
+# Knots within the span of an event: those of the whole time history may be far apart beside it.
+_IN_EVENT = (4, 8, 16, 32, 64)
 # Parameters of a hypothesis beside the variances of the noise, which an autoregressive noise has too, by kind: a
 # variance; a variance and a correlation time; a variance and two ends.
 _Kind = Literal["noise", "event", "function"]
@@ -224,12 +226,28 @@ def _event(linear: Linearised, of: Disturbance, noise: _Array) -> Disturbance | 
     # A span goes over no end of a record.
     if last - first > max(_SHORT * n, 4) or last > ends_of[record]:
         return None
-    knots = np.split(of.knots, ends_of[:-1])
-    answers = linear.answers(replace(of.place, shown=False), _signals(linear.points, knots))[first:last]
-    marginal = RandomEffects(linear, answers).maximised(noise)
-    span = (record, float(of.knots[first]), float(of.knots[last - 1]))
-    merit = marginal.log_likelihood - 3.0
-    return Disturbance("event", of.place, "", merit, marginal, 0.0, span, of.knots[first:last], of.step)
+    begin, end = float(of.knots[first]), float(of.knots[last - 1])
+    found = []
+    for count in _IN_EVENT:
+        local = np.linspace(begin - of.step, end + of.step, count + 2)
+        if found and local[1] - local[0] < 0.5 * _between_samples(linear, record, begin, end):
+            break
+        # It is zero outside.
+        signals = [np.zeros((count, p.n)) for p in linear.points]
+        signals[record] = at_knots(linear.points[record].t, local)[1:-1]
+        marginal = RandomEffects(linear, linear.answers(replace(of.place, shown=False), signals)).maximised(noise)
+        merit = marginal.log_likelihood - 3.0
+        span = record, float(local[1]), float(local[-2])
+        step = float(local[1] - local[0])
+        found.append(Disturbance("event", of.place, "", merit, marginal, 0.0, span, local[1:-1], step))
+    return max(found, key=lambda h: h.merit)
+
+
+def _between_samples(linear: Linearised, record: int, begin: float, end: float) -> float:
+    """Return the time between samples within a span, s."""
+    times = np.unique(np.concatenate([linear.times[line[record]] for line in linear.rows]))
+    inside = times[(times >= begin) & (times <= end)]
+    return float(np.median(np.diff(inside))) if inside.size > 1 else end - begin
 
 
 def functions(

@@ -43,14 +43,17 @@ __all__ = [
 # Part of what the extended model explains of a misfit that it explains with the other law; and the least of that, for
 # where little is explained both laws are wrong.
 _AS_MUCH, _MOST = 0.95, 0.5
+# To first order so many times that much may be lost: what follows then is a fit.
+_DOUBT = 4.0
 # Part of an effect that the model's parameters cannot imitate, below which one of them may stand for it.
 _NEAR = 0.2
 # Cosine between a law and a linear one beyond which it may take its place: an even function never does.
 _LIKE = 0.7
 # Other laws that are fitted.
 _TRIED = 4
-# Iterations of each: a friction that jumps takes three times those of a smooth law.
-_ITERATIONS = 150
+# Iterations of each: a friction that jumps takes three times those of a smooth law. And seconds, or times of the base
+# fit: what takes longer wanders off, for another law that stands is near.
+_ITERATIONS, _SECONDS, _TIMES = 150, 2.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -90,11 +93,16 @@ def other_laws(search: Search, final: Refit) -> list[OtherLaw]:
     that were tried when the time was up or Ctrl-C was pressed."""
     found: list[OtherLaw] = []
     try:
-        options = _options(search, final) if final.candidates else []
+        options, distinct = _options(search, final) if final.candidates else ([], {})
         own = _explained(search, final) if options else 0.0
         if own < _MOST:
             return []
-        needless = {p for p in {p for _, p in options} if _stands(search, _in_place(final, None, p), own)}
+        # Of a parameter whose loss alone would be as much as all that is explained nothing else stands in its place.
+        allowed = _DOUBT * (1.0 - _AS_MUCH) * _removed(search.cache.base, final)
+        losses = {p: _loss(final, p) for p in {p for _, p in options}}
+        options = [(c, p) for c, p in options if distinct[c.name] ** 2 * losses[p] < allowed]
+        few = [p for p in dict.fromkeys(p for _, p in options) if losses[p] < allowed]
+        needless = {p for p in few if _stands(search, _in_place(final, None, p), own)}
         for c, parameter in [(c, p) for c, p in options if p not in needless][:_TRIED]:
             other = _in_place(final, c, parameter)
             if other is not None and is_physical(other, c) and _stands(search, other, own):
@@ -108,21 +116,35 @@ def _stands(search: Search, other: Refit | None, own: float) -> bool:
     return other is not None and _explained(search, other) > _AS_MUCH * own
 
 
-def _options(search: Search, final: Refit) -> list[tuple[Effect, str]]:
-    """Return candidates that a parameter nearly imitates and that are shaped like its term, the most alike first; and
-    that parameter."""
+def _removed(base: Refit, final: Refit) -> float:
+    """Return how much less the sum of squares of the residuals is with all that was found, in units of the noise."""
+    scale = final.linear.scale()
+    return float(np.sum((base.linear.residuals / scale) ** 2) - np.sum((final.linear.residuals / scale) ** 2))
+
+
+def _loss(at: Refit, parameter: str) -> float:
+    """Return by how much the sum of squares of the residuals grows without a parameter, to first order, in units of the
+    noise."""
+    estimate = at.fit.parameters[parameter]
+    error = estimate.std_error if np.isfinite(estimate.std_error) else 0.0
+    return float((estimate.value / error) ** 2) if error > 0.0 else 0.0
+
+
+def _options(search: Search, final: Refit) -> tuple[list[tuple[Effect, str]], dict[str, float]]:
+    """Return candidates that a parameter nearly imitates and that are shaped like its term, the most alike first, each
+    with that parameter; and the part of their effects that the parameters cannot imitate."""
     known = [c for c in search.cache.candidates if isinstance(c, Effect) and is_function(c)]
     known = list({c.name: c for c in reversed(known) if c.name not in final.names}.values())
     options = [(c, p) for c in known for p in _linear_in(final, c)]
     if not options:
-        return []
+        return [], {}
     scan = search.cache.scan(final)
     distinct: dict[str, float] = dict.fromkeys(scan.lost, 0.0)
     for (c, _), each in zip(scan.effects, scan.distinct.tolist(), strict=True):
         distinct[c.name] = max(each, distinct.get(c.name, 0.0))
     likeness = {c.name: _likeness(final, c) for c, _ in options}
     options = [(c, p) for c, p in options if likeness[c.name] > _LIKE and distinct.get(c.name, 1.0) < _NEAR]
-    return sorted(options, key=lambda option: -likeness[option[0].name])
+    return sorted(options, key=lambda option: -likeness[option[0].name]), distinct
 
 
 def _likeness(at: Refit, c: Effect) -> float:
@@ -174,7 +196,7 @@ def _in_place(at: Refit, c: Effect | None, parameter: str) -> Refit | None:
         return None
     as_before = started_from(fit, [n for n in fit.model.parameter_names if n != parameter])
     candidates = at.candidates if c is None else (*at.candidates, c)
-    solver = Newton(max_iterations=_ITERATIONS)
+    solver = Newton(max_iterations=_ITERATIONS, time_limit=max(_SECONDS, _TIMES * fit.time))
     return fitted_to(Refit(candidates, fit), dataset(fit), model=model, start=as_before, solver=solver)
 
 

@@ -86,6 +86,12 @@ class Refit:
         return Whitened(self.linear, filter.on(self.linear.structure))
 
     @property
+    def rms(self) -> dict[str, float]:
+        """Output -> RMS of the residuals over all records."""
+        each = {n: np.concatenate([r.residuals[n] for r in self.fit.records]) for n in self.fit.model.output_names}
+        return {n: float(np.sqrt(np.nanmean(r**2))) for n, r in each.items()}
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Of the candidates."""
         return tuple(c.name for c in self.candidates)

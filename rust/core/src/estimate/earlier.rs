@@ -2,6 +2,9 @@
 
 use super::fit::Fit;
 use super::transcription::Transcription;
+use crate::experiment::Experiment;
+use crate::mesh::Grid;
+use crate::model::Kink;
 
 /// What is known of an earlier fit, of this model or of a similar one: by name, as far as both have the same names.
 #[derive(Clone, Debug, Default)]
@@ -14,6 +17,42 @@ pub struct Earlier {
     pub multipliers: Option<Multipliers>,
     /// Whether values and paths are those of a fit, so that there is no need to look elsewhere.
     pub near: bool,
+    /// How its kinks were smoothed.
+    pub smoothed: Option<Smoothed>,
+}
+
+/// How the kinks of an earlier fit were smoothed in its last pass: a model with the same kinks has no need of wider ones first.
+#[derive(Clone, Debug)]
+pub struct Smoothed {
+    /// Kinks in words, and widths.
+    pub widths: Vec<(String, f64)>,
+    /// Points of a segment.
+    pub order: usize,
+    /// Ends of the segments of the mesh, for each experiment, s.
+    pub edges: Vec<Vec<f64>>,
+    /// What smoothing left in error, by parameter.
+    pub left: Vec<(String, f64)>,
+}
+
+impl Smoothed {
+    /// The widths of a model's kinks; None where it has others, or two that have the same words.
+    pub(super) fn widths_of(&self, kinks: &[Kink]) -> Option<Vec<f64>> {
+        let labels: Vec<String> = kinks.iter().map(Kink::label).collect();
+        let width = |label: &String| {
+            let same = labels.iter().filter(|l| *l == label).count();
+            self.widths.iter().find(|w| w.0 == *label).filter(|_| same == 1).map(|w| w.1)
+        };
+        labels.iter().map(width).collect()
+    }
+
+    /// Whether the mesh is one of these experiments.
+    pub(super) fn is_of(&self, experiments: &[Experiment]) -> bool {
+        let same = |(e, edges): (&Experiment, &Vec<f64>)| {
+            let (Some(first), Some(last)) = (edges.first(), edges.last()) else { return false };
+            *first == e.t[0] && *last == e.t[e.t.len() - 1]
+        };
+        self.edges.len() == experiments.len() && experiments.iter().zip(&self.edges).all(same)
+    }
 }
 
 /// Paths of the states in one experiment.
@@ -73,6 +112,27 @@ impl From<&Fit> for Earlier {
                 shooting: matches!(fit.transcription, Transcription::Shooting(_)),
             }),
             near: true,
+            smoothed: fit.smoothed(),
         }
+    }
+}
+
+impl Fit {
+    /// How kinks were smoothed, for a fit that goes on from this one.
+    fn smoothed(&self) -> Option<Smoothed> {
+        let (smoothing, Transcription::Collocation(mesh)) = (self.smoothing.as_ref()?, &self.transcription)
+        else {
+            return None;
+        };
+        let edges = mesh.grid.iter().map(|grid| match grid {
+            Grid::Edges(edges) => Some(edges.clone()),
+            Grid::Samples(_) | Grid::Uniform(_) => None,
+        });
+        Some(Smoothed {
+            widths: smoothing.widths.iter().map(|w| (w.kink.clone(), w.width)).collect(),
+            order: mesh.order,
+            edges: edges.collect::<Option<_>>()?,
+            left: smoothing.left.iter().map(|l| (l.name.clone(), l.change)).collect(),
+        })
     }
 }

@@ -24,7 +24,7 @@ mod transcription;
 mod unmeasured;
 
 pub use crate::measured::Measured;
-pub use earlier::{Earlier, Multipliers, Path};
+pub use earlier::{Earlier, Multipliers, Path, Smoothed};
 pub use fit::{Bound, Estimate, Fit, Moved, Record};
 pub use integration::{CollocatedPath, IntegrationError};
 pub use judge::unlike_noise;

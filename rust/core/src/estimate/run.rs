@@ -43,6 +43,9 @@ impl Estimation<'_> {
 
     /// The fit, made again where it ended for a reason that another way to it may mend.
     fn solve_all(&self, watch: &mut Watch<'_>) -> Result<Fit, Error> {
+        if let Some(fit) = self.smoothed_as_before(watch)? {
+            return Ok(fit);
+        }
         let mut fit = self.solve_refined(watch)?;
         if self.other_ways {
             fit = self.or_otherwise(fit, watch)?;

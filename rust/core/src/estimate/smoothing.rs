@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::fit::{Bound, Fit, Moved, Record};
+use super::fit::{Bound, Estimate, Fit, Moved, Record};
 use super::integration::deviation;
 use super::print::short;
 use super::refine::order_of;
@@ -12,6 +12,7 @@ use crate::error::Error;
 use crate::evaluator::at_points;
 use crate::experiment::Experiment;
 use crate::interrupt::current;
+use crate::mesh::Grid;
 use crate::model::{Kink, Model};
 use crate::solver::Status;
 use crate::tape::{Inputs, Tape};
@@ -104,6 +105,11 @@ impl Smoothing {
 /// A fit of the model smoothed over widths of some part of the spreads.
 type Pass = (f64, Fit);
 
+/// Whether a pass converged on a mesh that resolves its motion.
+fn good(fit: &Fit) -> bool {
+    fit.status == Status::Converged && fit.refinement.as_ref().is_some_and(|r| r.met())
+}
+
 impl Estimation<'_> {
     /// Returns the estimate of a model with kinks by passes over smooth models, each from the last, or `rough`, the fit
     /// without smoothing, where these do not converge either. Widths are halved until what they leave in error is small
@@ -123,9 +129,6 @@ impl Estimation<'_> {
             }
             before.map_or_else(|| pass.clone(), |fit| pass.going_on_from(fit)).solve_refined(watch)
         };
-        let good =
-            |fit: &Fit| fit.status == Status::Converged && fit.refinement.as_ref().is_some_and(|r| r.met());
-
         let mut part = FIRST;
         let mut fit = narrowed(part, None)?;
         if !good(&fit) && !fit.status.was_stopped() {
@@ -156,16 +159,57 @@ impl Estimation<'_> {
                 ratio = RATIO.sqrt();
             }
         }
-        let mut fit = self.reported(&rough, passes, &spreads, rough.solution.time + began.elapsed());
+        let (part, left) = (passes[passes.len() - 1].0, left_in_error(&passes));
+        let widths: Vec<f64> = spreads.iter().map(|s| part * s).collect();
+        let time = rough.solution.time + began.elapsed();
+        let mut fit = self.reported(passes, &widths, left, rough.iterations, time);
         if let Some(stopped) = stopped {
             (fit.status, fit.message) = stopped;
         }
         Ok(fit)
     }
 
-    /// The last pass as a fit of the model with kinks, which says how these were smoothed.
-    fn reported(&self, rough: &Fit, passes: Vec<Pass>, spreads: &[f64], time: Duration) -> Fit {
-        let left = left_in_error(&passes);
+    /// Returns the estimate of a model whose kinks are those of an earlier fit, smoothed as in the last pass of that: one pass,
+    /// on its mesh. None where there is no such fit, or where the pass does not come to an end.
+    pub(super) fn smoothed_as_before(&self, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
+        let before = self.earlier.as_ref().and_then(|e| e.smoothed.as_ref());
+        let Some(before) = before.filter(|s| self.smooth_kinks && s.is_of(self.experiments)) else {
+            return Ok(None);
+        };
+        let (kinks, asked) = (self.model.kinks(), self.refine.map_or(TOLERANCE, |t| t.min(TOLERANCE)));
+        let Some(widths) = before.widths_of(&kinks).filter(|w| !w.is_empty()) else { return Ok(None) };
+        if !self.transcription.is_collocation() || self.smoothing_passes == 0 {
+            return Ok(None);
+        }
+        let began = Instant::now();
+        let smooth = self.model.smoothed(&widths)?;
+        let mesh = before.edges.iter().cloned().map(Grid::Edges).collect();
+        let pass =
+            Estimation { model: &smooth, refine: Some(asked), regression: Some(false), ..self.clone() };
+        let fit = pass.on_grid(before.order, mesh).solve_refined(watch)?;
+        if !good(&fit) {
+            return Ok(None);
+        }
+        let spreads = Fit { model: self.model.clone(), ..fit.clone() }.spreads(self.experiments)?;
+        let part = widths.iter().zip(&spreads).map(|(w, s)| w / s).fold(0.0, f64::max);
+        let known = |e: &Estimate| {
+            let (_, change) = before.left.iter().find(|l| l.0 == e.name)?;
+            Some(LeftInError { name: e.name.clone(), change: *change, std_error: e.std_error })
+        };
+        let left =
+            fit.parameters.iter().filter(|e| e.bound != Some(Bound::Fixed)).filter_map(known).collect();
+        Ok(Some(self.reported(vec![(part, fit)], &widths, left, 0, began.elapsed())))
+    }
+
+    /// The last pass as a fit of the model with kinks, which says how these were smoothed, and how many iterations went before.
+    fn reported(
+        &self,
+        passes: Vec<Pass>,
+        widths: &[f64],
+        left: Vec<LeftInError>,
+        before: usize,
+        time: Duration,
+    ) -> Fit {
         let step = |(part, fit): &Pass| SmoothingStep {
             part: *part,
             segments: fit.refinement.as_ref().and_then(|r| r.steps.last()).map_or(0, |s| s.segments),
@@ -173,13 +217,13 @@ impl Estimation<'_> {
             log_likelihood: fit.log_likelihood,
         };
         let steps: Vec<SmoothingStep> = passes.iter().map(step).collect();
-        let (part, last) = passes.into_iter().next_back().expect("there is a pass");
-        let width = |(kink, spread): (Kink, &f64)| KinkWidth {
+        let (_, last) = passes.into_iter().next_back().expect("there is a pass");
+        let width = |(kink, width): (Kink, &f64)| KinkWidth {
             kink: kink.label(),
-            width: part * spread,
+            width: *width,
             unit: kink.unit(self.model),
         };
-        let widths = self.model.kinks().into_iter().zip(spreads).map(width).collect();
+        let widths = self.model.kinks().into_iter().zip(widths).map(width).collect();
         let smoothing = Smoothing { widths, steps, left };
         let mut warnings = last.warnings.clone();
         let beyond = smoothing.beyond(1.0);
@@ -208,7 +252,7 @@ impl Estimation<'_> {
                 smoothing.description()
             ),
             warnings,
-            iterations: rough.iterations + smoothing.steps.iter().map(|s| s.iterations).sum::<usize>(),
+            iterations: before + smoothing.steps.iter().map(|s| s.iterations).sum::<usize>(),
             moved: Some(moved),
             smoothing: Some(smoothing),
             ..last

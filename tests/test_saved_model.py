@@ -1,7 +1,7 @@
 """The saved model that the Rust crate's tests read is what Python saves and evaluates today.
 
-rust/core/tests/suite/saved_model.rs reads the same file and compares bit by bit: together they say that a model saved by
-Python evaluates identically in Rust.
+rust/core/tests/suite/saved_model.rs reads the same file and compares bit by bit: together they say that a model saved
+by Python evaluates identically in Rust.
 """
 
 from __future__ import annotations

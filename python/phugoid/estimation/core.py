@@ -62,7 +62,13 @@ class Earlier:
             for t, states in self.paths
         ]
         multipliers = None if s is None else (s.xi.size, s.multipliers, s.bound_multipliers, self.shooting)
-        return {"values": list(self.values.items()), "paths": paths, "multipliers": multipliers, "near": self.near, "smoothed": self.smoothed}
+        return {
+            "values": list(self.values.items()),
+            "paths": paths,
+            "multipliers": multipliers,
+            "near": self.near,
+            "smoothed": self.smoothed,
+        }
 
 
 def _smoothed(fit: FitResult) -> tuple[list[tuple[str, float]], int, list[list[float]], list[tuple[str, float]]] | None:
@@ -70,8 +76,9 @@ def _smoothed(fit: FitResult) -> tuple[list[tuple[str, float]], int, list[list[f
     s, mesh = fit.smoothing, fit.transcription
     if s is None or not isinstance(mesh, Collocation):
         return None
-    edges = [edges for _, _, edges in mesh.grids(fit.experiments)]
-    if any(e is None for e in edges):
+    grids = mesh.grids(fit.experiments)
+    edges = [e for _, _, e in grids if e is not None]
+    if len(edges) < len(grids):
         return None
     widths = [(kink, width) for kink, (width, _) in s.widths.items()]
     return widths, mesh.order, edges, [(name, change) for name, (change, _) in s.left.items()]

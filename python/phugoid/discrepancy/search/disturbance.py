@@ -227,7 +227,7 @@ def _event(linear: Linearised, of: Disturbance, noise: _Array) -> Disturbance | 
     if last - first > max(_SHORT * n, 4) or last > ends_of[record]:
         return None
     begin, end = float(of.knots[first]), float(of.knots[last - 1])
-    found = []
+    found: list[Disturbance] = []
     for count in _IN_EVENT:
         local = np.linspace(begin - of.step, end + of.step, count + 2)
         if found and local[1] - local[0] < 0.5 * _between_samples(linear, record, begin, end):

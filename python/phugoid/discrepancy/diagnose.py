@@ -35,7 +35,6 @@ from .search.data_suspects import (
     with_remainder,
     words_of_inputs,
 )
-from .search.evidence import is_structured
 from .search.finding import DiagnosisResult, Scored
 from .search.findings import (
     finding_of,
@@ -49,7 +48,7 @@ from .search.other_laws import other_laws, words_of_laws
 from .search.parts import parts_of
 from .search.record_change import RecordChange
 from .search.recorded_input import RecordedInput, SampledInputs
-from .search.refit import Refit
+from .search.refit import Refit, is_structured
 from .search.remainder import Remainder, RemainderSettings
 from .search.scan import NEARLY, Scan
 from .search.segments import Restart, restarted, segments_of, thinned

@@ -85,10 +85,14 @@ class _StateEffect(Effect):
         name = self.shape_names[0]
         low, high = self._span()
         first = float(extension.start.get(name, self.shapes[0][name]))
-        more = 0.2 * (high - low)
         unit = extension.old.units.get(self._x, "")
-        limit = extension.parameter(name, first, bounds=(low - more, high + more), unit=unit)
+        limit = extension.parameter(name, first, bounds=self._bounds(low, high), unit=unit)
         return limit, self._side(first)
+
+    def _bounds(self, low: float, high: float) -> tuple[float, float]:
+        """Return bounds of the limit of a state between two values."""
+        more = 0.2 * (high - low)
+        return low - more, high + more
 
     def reachable(self, states: Mapping[str, _Array], start: Mapping[str, float]) -> Mapping[str, _Array]:
         name = self.shape_names[0]
@@ -204,6 +208,10 @@ def _full(t: _Array, x: _Array, rate: _Array, limit: float) -> _Array:
     return full
 
 
+# Least distance of two stops from the middle, as a part of how far the state goes.
+_APART = 0.03
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class EndStop(_StateEffect):
     """A position that meets a stop: beyond the limit a stiff spring with losses acts on its rate, c d (1 + b d') with d
@@ -226,6 +234,18 @@ class EndStop(_StateEffect):
 
     def _side(self, limit: float) -> float:
         return 1.0 if self.both_sides else super()._side(limit)
+
+    def _bounds(self, low: float, high: float) -> tuple[float, float]:
+        if not self.both_sides:
+            return super()._bounds(low, high)
+        # Two stops that meet are a spring.
+        far = max(abs(low), abs(high))
+        return _APART * far, 1.2 * far
+
+    def _reached(self, points: Sequence[Points]) -> tuple[float, float]:
+        low, high = super()._reached(points)
+        far = max(abs(low), abs(high))
+        return (1.01 * _APART * far, far) if self.both_sides else (low, high)
 
     def reachable(self, states: Mapping[str, _Array], start: Mapping[str, float]) -> Mapping[str, _Array]:
         name = self.shape_names[0]

@@ -11,9 +11,9 @@ from ...data.experiment import Experiment
 from ...sensitivities.linearised import Linearised
 from ..candidates.candidate import Candidate
 from .confirmation import Confirmation, ConfirmationSettings, Found, Refitting, RefittingSettings
-from .evidence import Assessment, AssessmentSettings, is_physical, is_structured
+from .evidence import Assessment, AssessmentSettings, is_physical
 from .finding import ExtensionResult, Gain
-from .refit import HeldOut, Refit
+from .refit import HeldOut, Refit, is_structured
 from .refit_cache import RefitCache
 from .screen import Screen, ScreenSettings, complexity, is_equal, plausibility
 

@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 
-from ...residual_noise import WITHIN, resolution_of
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.whitened import Whitened
 from ..candidates.candidate import Candidate, Effect
@@ -19,7 +18,7 @@ from .refit_cache import RefitCache
 from .ringing import is_near, wandering
 from .screen import RICH, complexity
 
-__all__ = ["Assessment", "AssessmentSettings", "Evidence", "chi_square_quantile", "is_physical", "is_structured"]
+__all__ = ["Assessment", "AssessmentSettings", "Evidence", "chi_square_quantile", "is_physical"]
 
 # Families of candidates that change in proportion to the time.
 _DRIFTS = ("drift", "variation")
@@ -378,15 +377,3 @@ def _gain_of_mean_squares(base: Refit, more: Refit, error: float) -> float:
         if power > 0.0 and left > 0.0:
             total += before.size / float(2.0 * rho.sum() - rho[0]) * float(np.log(power / left))
     return total if errors else -np.inf
-
-
-def is_structured(at: Refit, least: float) -> bool:
-    """Tell whether the past of any output's residuals predicts more than this part of their power."""
-    linear = at.linear
-    filter = Whitening.of(linear.residuals, linear.structure)
-    for name, line, channel in zip(linear.model.output_names, linear.rows, filter.channels, strict=True):
-        power = float(np.mean(linear.residuals[line[0].start : line[-1].stop] ** 2))
-        rounded = (WITHIN * resolution_of([e.output(name) for e in linear.experiments])) ** 2
-        if channel.power < (1.0 - least) * power and power > rounded:
-            return True
-    return False

@@ -33,9 +33,8 @@ from ...solvers import Deadline, check_time
 from ...solvers.newton import Newton
 from ..candidates.candidate import unused
 from .disturbance import Disturbance, histories_at
-from .evidence import is_structured
 from .free_run import Misfitting
-from .refit import Refit, fitted_to, on_other_data, values_of
+from .refit import Refit, fitted_to, is_structured, on_other_data, values_of
 from .refit_cache import RefitCache
 
 __all__ = [

@@ -17,7 +17,8 @@ from ...fit_result import ENDED_WELL, FitResult, dataset
 from ...frozen_model import estimates_of, freed_by_default, freeze_model, freeze_noise, mesh_for
 from ...modelling.model import Model
 from ...parameters import Estimates
-from ...residual_noise.whitening import Filter
+from ...residual_noise import WITHIN, resolution_of
+from ...residual_noise.whitening import Filter, Whitening
 from ...sensitivities import Points
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.whitened import Whitened, joint_whitening, own_whitening
@@ -33,6 +34,7 @@ __all__ = [
     "blocks_of",
     "fitted_to",
     "gain_on_other_data",
+    "is_structured",
     "on_other_data",
     "predicted_blocks",
     "predicted_from_blocks",
@@ -364,3 +366,15 @@ def gain_on_other_data(base: Linearised, more: Linearised) -> HeldOut:
     d = own.log_densities - other.log_densities
     d = d[np.isfinite(d)]
     return HeldOut(float(d.sum()), float(np.sqrt(d.size) * d.std()), float(d.sum()))
+
+
+def is_structured(at: Refit, least: float) -> bool:
+    """Tell whether the past of any output's residuals predicts more than this part of their power."""
+    linear = at.linear
+    filter = Whitening.of(linear.residuals, linear.structure)
+    for name, line, channel in zip(linear.model.output_names, linear.rows, filter.channels, strict=True):
+        power = float(np.mean(linear.residuals[line[0].start : line[-1].stop] ** 2))
+        rounded = (WITHIN * resolution_of([e.output(name) for e in linear.experiments])) ** 2
+        if channel.power < (1.0 - least) * power and power > rounded:
+            return True
+    return False

@@ -17,7 +17,7 @@ from ...residual_noise.whitening import Whitening
 from ...sensitivities.linearised import Linearised
 from ...solvers import check_time
 from ..candidates.candidate import Candidate, with_variants
-from .refit import Refit, on_other_data, refit
+from .refit import Refit, is_structured, on_other_data, refit
 from .ringing import Ringing, light_modes, ringing_of
 from .scan import Scan
 
@@ -28,6 +28,8 @@ _Array = NDArray[np.float64]
 # Parts of a start at which candidates begin, too, that may end at several optima: where they explain this part of the
 # power of the base's residuals or more to first order, for small effects are nearly linear.
 _STARTS, _LARGE = (0.4, 1.6, 0.25, 0.65), 0.1
+# Part of an output's variance that a fit leaves with which next to nothing about it is true.
+_USELESS = 0.5
 # Two ends at the likeliest optimum so far, alike to this in log-likelihood, or so many starts that come to no end,
 # leave little to be found.
 _SAME, _FAILED = 0.5, 3
@@ -62,6 +64,9 @@ class RefitCache:
         self._modes = light_modes(self.base.fit)
         self._ringing: dict[frozenset[str], Ringing | None] = {}
         self.candidates = with_variants(self.candidates, self.base.linear.points, self.base.fit.model)
+        # Outputs of which the base leaves most, and not since they are mostly noise.
+        structured = is_structured(self.base, _USELESS)
+        self._unexplained = _unexplained(self.base.fit, self.base.fit.model.output_names) if structured else []
         # Candidates to refit whatever a scan says of them -> where that starts.
         self.proposed: Mapping[str, Mapping[str, float]] = {}
 
@@ -133,7 +138,10 @@ class RefitCache:
                 for k in (0, len(last.shapes) // 2):
                     best = best or refit(self.base.fit, candidates, {**starts, **last.shapes[k]}, near, points)
         ends = [best]
-        if left > _LARGE and any(c.begins_measured and c.shape_names[0] not in known for c in candidates):
+        # About a path that has little to do with the measured one a refit may end where the base did.
+        lost = self._unexplained and (best is None or _unexplained(best.fit, self._unexplained))
+        jumping = left > _LARGE and any(c.begins_measured and c.shape_names[0] not in known for c in candidates)
+        if lost or jumping:
             ends.append(refit(self.base.fit, candidates, starts, near, measured=True))
         for c in new:
             name = c.shape_names[0]
@@ -261,6 +269,18 @@ class RefitCache:
     def has_start(self, name: str) -> bool:
         """Tell whether it is known where a refit with a candidate starts."""
         return name in self._starts
+
+
+def _unexplained(fit: FitResult, names: Sequence[str]) -> list[str]:
+    """Return the outputs of which a fit leaves most of what they do."""
+    found = []
+    for name in names:
+        left = sum(float(np.nansum(r.residuals[name] ** 2)) for r in fit.records)
+        measured = [r.measured[name] for r in fit.records]
+        whole = sum(float(np.nansum((y - np.nanmean(y)) ** 2)) for y in measured if np.isfinite(y).any())
+        if left > _USELESS * whole:
+            found.append(name)
+    return found
 
 
 def _enough(ends: Sequence[Refit | None]) -> bool:

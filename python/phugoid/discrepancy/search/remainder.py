@@ -20,11 +20,10 @@ from ...sensitivities.whitened import Whitened
 from ..candidates.candidate import Candidate, Effect, is_function
 from . import Search, SearchResult
 from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of, powers_of
-from .evidence import is_structured
 from .free_run import LEAST, Explained, Misfitting, Simulated
 from .other_laws import formula, terms_of, unknown_function
 from .process_noise import FilterErrorRefit, filtered, filtered_elsewhere, single_event
-from .refit import Refit, fitted_to
+from .refit import Refit, fitted_to, is_structured
 from .ringing import wandering
 
 __all__ = ["Remainder", "RemainderSettings", "remainder_of"]

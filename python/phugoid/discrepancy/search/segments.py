@@ -34,8 +34,7 @@ from ...residual_noise import resolution_of
 from ...residual_noise.whitening import Whitening
 from ...solvers import HINTS, check_time
 from ...solvers.newton import Newton
-from .evidence import is_structured
-from .refit import Refit, fitted_to, values_of
+from .refit import Refit, fitted_to, is_structured, values_of
 
 __all__ = [
     "Restart",

@@ -30,7 +30,7 @@ from .channel_effects import (
 from .collection import Candidates, Directions, read_terms
 from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
-from .model_structure import ANGLES, ModelStructure, Variable
+from .model_structure import ANGLES, TURN, ModelStructure, Variable
 from .scales import Scales, output_key, trim_of
 from .terms import FORMS, LaggedVariable, ParameterDrift, Periodic, Rate, Ripple, Term, where
 
@@ -308,7 +308,7 @@ def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names:
                 (names(f"{stem}_sin_{v.shown}"), names(f"{stem}_cos_{v.shown}")),
                 (names(f"wave_number_{stem}_{v.shown}"),),
                 variables=(v.symbol,),
-                angle=structure.model.units.get(v.symbol, "") in ANGLES,
+                turn=TURN.get(structure.model.units.get(v.symbol, ""), 0.0),
             )
     if any(v.kind == "input" and v.symbol in structure.expression(place).symbols for v in structure.variables):
         yield LimitedForce(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -9,9 +10,12 @@ from ..._core import Expr
 from ...modelling.model import Model
 from ...sensitivities import Place
 
-__all__ = ["ANGLES", "ANGULAR_RATES", "ModelStructure", "Variable"]
+__all__ = ["ANGLES", "ANGULAR_RATES", "TURN", "ModelStructure", "Variable"]
 
-ANGLES = ("rad", "deg", "°")
+TURN = {"rad": 2.0 * math.pi, "deg": 360.0, "°": 360.0}
+"""Unit of an angle -> a turn in it."""
+
+ANGLES = tuple(TURN)
 """Units of angles."""
 
 # Functions of angles of attitudes; and those that jump, or are put for a jump.

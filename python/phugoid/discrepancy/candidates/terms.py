@@ -25,8 +25,8 @@ _Array = NDArray[np.float64]
 # out 0.5 to 1 % too large, with 0.02 in its place 4 %; with 0.002 Newton's method takes three times the steps where a
 # servo sticks for a third of the time.
 _KINK, _JUMP = 0.003, 0.005
-# Periods over the range of a position, at most; and the range of an angle, in rad, from which on it may have some.
-_RIPPLES, _TURNS = 30, 1.5
+# Periods over the range of a position, at most, and of a turn; and the part of a turn from which on there may be some.
+_RIPPLES, _OF_TURN, _TURNS = 30, 48, 0.24
 # Nodes beyond those of a table, after which it is the straight line that it is to go on with.
 _BEYOND = 4
 
@@ -310,22 +310,32 @@ class Ripple(Effect):
     """a sin(k (x - x0)) + b cos(k (x - x0)) of a position x: cogging and torque ripple of motors, teeth of gears, the
     pitch of a screw. About the middle x0 of its range phase and wave number are almost independent of each other.
 
-    angle  whether the position is an angle, of which less than a good part of a turn shows none of this.
+    turn   a turn in the unit of the position, 0 where it is no angle. Less than a good part of one shows none of this,
+           and of many the parts of one are told from each other.
     """
 
-    angle: bool = False
+    turn: float = 0.0
+
+    @property
+    def begins_measured(self) -> bool:
+        # Along a path that is a period off the measured one it is out of phase.
+        return True
 
     def grid(self) -> Iterable[float]:
+        span = self.scales.span(self.variables[0])
         # Two to a line width, so that no line falls between.
         periods = np.arange(2.0, 2.0 * _RIPPLES + 1.0) / 2.0
-        return np.asarray(2.0 * np.pi * periods / self.scales.span(self.variables[0]))
+        if self.turn and span > self.turn:
+            of_turn = np.arange(1.0, _OF_TURN + 1.0) * span / self.turn
+            periods = np.concatenate([periods, of_turn[of_turn > _RIPPLES]])
+        return np.asarray(2.0 * np.pi * periods / span)
 
     def _angle(self, wave_number: Any, x: Any) -> Any:
         return wave_number * (x - self.scales.centre(self.variables[0]))
 
     def worthwhile(self) -> bool:
         (x,) = self.variables
-        return super().worthwhile() and (not self.angle or self.scales.span(x) > _TURNS)
+        return super().worthwhile() and (not self.turn or self.scales.span(x) > _TURNS * self.turn)
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         x = of(points.values, self.variables[0], points, "state")

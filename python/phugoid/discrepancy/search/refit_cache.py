@@ -142,7 +142,8 @@ class RefitCache:
         lost = self._unexplained and (best is None or _unexplained(best.fit, self._unexplained))
         jumping = left > _LARGE and any(c.begins_measured and c.shape_names[0] not in known for c in candidates)
         if lost or jumping:
-            ends.append(refit(self.base.fit, candidates, starts, near, measured=True))
+            # What is proposed is proposed about the measured motion.
+            ends.append(refit(self.base.fit, candidates, {**starts, **(elsewhere or {})}, near, measured=True))
         for c in new:
             name = c.shape_names[0]
             for factor in _STARTS if name in starts else ():

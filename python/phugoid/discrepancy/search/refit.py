@@ -48,8 +48,8 @@ _ITERATIONS, _PATIENT, _FROM_MEASURED = 40, 150, 250
 _SOLVER = Newton(max_iterations=_ITERATIONS)
 # In s and in times of the base fit: where its iterations take so long, the mesh is refined again and again.
 _SECONDS, _TIMES = 30.0, 20.0
-# The same for a fit to data held out.
-_ELSEWHERE = 10.0
+# The same for a fit to data held out, and times as large residuals as the fit's own with which another start is tried.
+_ELSEWHERE, _FAR = 10.0, 3.0
 # Delays are found to this part of their standard errors: to first order in what is left the rest is allowed for.
 _SETTLED = 0.03
 # Within so many passes, for the scan knows them well: what goes on then wanders off, or back and forth over a kink.
@@ -345,6 +345,7 @@ def on_other_data(
     starts: list[FitResult | dict[str, float]] = [{n: float(np.mean(v)) for n, v in known.items() if v}]
     if near is not None:  # its path may be out of reach of this model: then the measured one
         starts.insert(0, _with_paths(started_from(near.fit, ()), refit.candidates, near.points, values))
+    best: FitResult | None = None
     for start in starts:
         solver = Newton(time_limit=max(_ELSEWHERE, _TIMES * fit.time))
         found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)
@@ -352,11 +353,16 @@ def on_other_data(
             check_time()  # that of the diagnosis
         if found.status == "interrupted":
             raise KeyboardInterrupt
-        if found.status in (*ENDED_WELL, "unidentifiable"):
+        if found.status not in (*ENDED_WELL, "unidentifiable"):
+            continue
+        if best is None or found.log_likelihood > best.log_likelihood:
+            best = found
+        # A motion may have several branches, and another model's path may lie near the wrong one.
+        if all(rms <= _FAR * refit.rms[n] for n, rms in Refit((), best).rms.items()):
             break
-    else:
+    if best is None:
         raise DataError(f"diagnose: the model cannot be fitted to the validation record: {found.message}")
-    return Linearised(found)
+    return Linearised(best)
 
 
 def gain_on_other_data(base: Linearised, more: Linearised) -> HeldOut:

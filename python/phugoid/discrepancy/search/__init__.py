@@ -191,7 +191,7 @@ class Search:
         while len(at.candidates) > 1:
             margins = {}
             for c in at.candidates:
-                without = self.cache.refit([other for other in at.candidates if other is not c], at.fit)
+                without = self.cache.again([other for other in at.candidates if other is not c], at.fit)
                 if without is not None:
                     margins[without] = self.assessment.gain(without, at) - self.assessment.needed(at, c)
             least = min(margins, key=lambda r: margins[r], default=at)

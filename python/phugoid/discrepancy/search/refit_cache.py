@@ -33,6 +33,8 @@ _USELESS = 0.5
 # Two ends at the likeliest optimum so far, alike to this in log-likelihood, or so many starts that come to no end,
 # leave little to be found.
 _SAME, _FAILED = 0.5, 3
+# What one term less may cost in log-likelihood where that is hardly another optimum.
+_NEARLY = 10.0
 # An end that gains less than this part of what the scan promises is none; so many shapes are tried then.
 _LITTLE, _OTHERS = 0.1, 4
 # Refits side by side: the solver works without the interpreter's lock.
@@ -115,6 +117,24 @@ class RefitCache:
             finally:
                 executor.shutdown(cancel_futures=True)
         return [self._refits[key] for key in keys]
+
+    def again(self, candidates: Sequence[Candidate], near: FitResult) -> Refit | None:
+        """Return the refit of a set, begun once more from a fit with more terms where it may have ended at another
+        optimum than the one that is near that fit."""
+        key = frozenset(c.name for c in candidates)
+        before = self.refit(candidates, near)
+        if not any(c.several_starts or c.jumps for c in candidates):
+            return before
+        if before is not None and before.fit.log_likelihood > near.log_likelihood - _NEARLY:
+            return before
+        self.watch("fitting with " + ", ".join(c.name for c in candidates) + " once more")
+        found = refit(self.base.fit, candidates, {}, near, self.base.linear.points, patient=True)
+        if found is None or (before is not None and found.fit.log_likelihood < before.fit.log_likelihood + _SAME):
+            return before
+        for known in (self._scans, self._others, self._as_fitted, self._ringing):
+            known.pop(key, None)
+        self._refits[key] = found
+        return found
 
     def _likeliest(
         self, candidates: Sequence[Candidate], starts: Mapping[str, float], near: FitResult | None

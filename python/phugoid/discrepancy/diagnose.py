@@ -41,6 +41,7 @@ from .search.findings import (
     finding_of_record_change,
     finding_of_recorded_input,
     finding_of_remainder,
+    finding_of_stuck_sensor,
     finding_of_unsigned_sensor,
     no_optimum,
 )
@@ -53,6 +54,7 @@ from .search.remainder import Remainder, RemainderSettings
 from .search.scan import NEARLY, Scan
 from .search.segments import Restart, restarted, segments_of, thinned
 from .search.stand_ins import without_stand_ins
+from .search.stuck_sensor import StuckSensor, stuck_sensors, without_stuck
 
 __all__ = [
     "candidates_given",
@@ -245,7 +247,8 @@ def diagnose(
     A fit that ended at no optimum is estimated again: continued, with parameters fixed that the data do not determine,
     or begun from short segments of the records, and a note says so. Where none of these converges the misfit is
     unexplained, and the finding says what the status of the fit means. Where an output is the size of what the model
-    has for it, without its sign, the model with that is estimated and diagnosed. Where the model cannot be fitted to
+    has for it, without its sign, the model with that is estimated and diagnosed; where a sensor stays at one value, as
+    its noise does not let it, these samples are left out. Where the model cannot be fitted to
     the validation records, blocks of the records are left out in turn as without them.
 
     Raises DataError for a fit that is exact or of too short a record, and for a validation record without the channels;
@@ -256,6 +259,8 @@ def diagnose(
     check_fit(fit)
     others = validation_given(fit, validation)
     free = freed(fit, others, biases)
+    stuck, fit = _stuck(fit, deadline)
+    others = without_stuck(others, stuck) if stuck else others
     unsigned = _unsigned(fit, deadline)
     fit = unsigned.fit if unsigned is not None else fit
     begun = collocated(fit) if fit.status in ENDED_WELL else fit
@@ -338,6 +343,7 @@ def diagnose(
             held = [finding_of_recorded_input(b, margin, units.get(b.name, "")) for b in told]
             held += [finding_of_record_change(c) for c in changes]
             held[:0] = [finding_of_unsigned_sensor(unsigned)] if unsigned is not None else []
+            held[:0] = [finding_of_stuck_sensor(s, search.assessment.settings.minor) for s in stuck]
             findings[:0] = held
             # In white residuals inputs that were sampled too slowly leave what looks like noise of them.
             slowly = sampled is not None and not is_structured(search.cache.base, RemainderSettings().structure)
@@ -401,9 +407,22 @@ def diagnose(
             seconds=time.perf_counter() - started,
             _extension=extension,
             _full=full,
-            _inputs=(*([unsigned.cause] if unsigned is not None else []), *(b.cause for b in told)),
+            _inputs=(
+                *(s.cause for s in stuck),
+                *([unsigned.cause] if unsigned is not None else []),
+                *(b.cause for b in told),
+            ),
             _validation=tuple(search.cache.validation),
         )
+
+
+def _stuck(fit: FitResult, deadline: Deadline) -> tuple[list[StuckSensor], FitResult]:
+    """Return sensors that stay at a value, and the fit without these samples; within the time limit."""
+    try:
+        with deadline.in_force():
+            return stuck_sensors(fit)
+    except KeyboardInterrupt:
+        return [], fit
 
 
 def _unsigned(fit: FitResult, deadline: Deadline) -> UnsignedSensor | None:

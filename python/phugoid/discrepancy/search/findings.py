@@ -22,12 +22,14 @@ from .record_change import RecordChange
 from .recorded_input import RecordedInput
 from .refit import Refit
 from .remainder import Remainder
+from .stuck_sensor import StuckSensor
 
 __all__ = [
     "finding_of",
     "finding_of_record_change",
     "finding_of_recorded_input",
     "finding_of_remainder",
+    "finding_of_stuck_sensor",
     "finding_of_unsigned_sensor",
     "no_optimum",
 ]
@@ -202,6 +204,21 @@ def finding_of_unsigned_sensor(s: UnsignedSensor) -> Finding:
             f"Write the output {s.name} as the absolute value (smooth_abs); all else was sought with that, and the "
             "residuals that are told are those of that model."
         ),
+    )
+
+
+def finding_of_stuck_sensor(s: StuckSensor, least: float) -> Finding:
+    """Return a sensor that stays at a value as it is told; minor where less than a part of its residuals lies there."""
+    listed = [f"from {number(a, 4)} to {number(b, 4)} s of '{record}'" for record, a, b in s.spans]
+    more = f" and in {len(listed) - _LISTED} more spans" if len(listed) > _LISTED else ""
+    return Finding(
+        cause=s.cause,
+        status="named" if s.part >= least else "minor",
+        explanation=(
+            f"{s.name} stays at one value {', '.join(listed[:_LISTED])}{more}, though its noise changes it from sample "
+            f"to sample elsewhere; {percent(s.part)} of the squares of its residuals lie there"
+        ),
+        advice="Mark these samples as missing (NaN): all else was sought without them.",
     )
 
 

@@ -1,0 +1,61 @@
+"""A sensor that stays at its last value is told by samples that its noise would not leave the same."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import phugoid as ph
+
+STEP = 0.02
+
+
+def short_period() -> ph.Model:
+    m = ph.Model("short period")
+    (de,) = m.inputs(de="rad")
+    alpha, q = m.states(alpha="rad", q="rad/s")
+    za, ma, mq, md = m.parameters(Za=-1.0, Ma=-5.0, Mq=-2.0, Md=-8.0)
+    m.dynamics(alpha=za * alpha + q, q=ma * alpha + mq * q + md * de)
+    m.outputs(alpha=alpha, q=q)
+    return m
+
+
+def record(seed: int, stuck: tuple[tuple[float, float], ...] = (), rounded: float = 0.0) -> ph.Experiment:
+    """Return steps of the elevator, a vane that is stuck at times, or rounded and without noise."""
+    rng = np.random.default_rng(seed)
+    t = STEP * np.arange(700)
+    de = 0.05 * np.repeat(rng.choice([-1.0, 0.0, 1.0], 20), 35)
+    de[:100] = 0.0
+    truth = {"Za": -1.3, "Ma": -8.0, "Mq": -2.4, "Md": -13.0}
+    y = ph.simulate(short_period(), truth, ph.Experiment(t, {"de": de})).outputs
+    alpha = y["alpha"] + (0.0 if rounded else 0.002) * rng.normal(size=t.size)
+    alpha = np.round(alpha / rounded) * rounded if rounded else alpha
+    for begin, end in stuck:
+        inside = (t >= begin) & (t <= end)
+        alpha[inside] = alpha[inside][0]
+    return ph.Experiment(t, {"de": de}, {"alpha": alpha, "q": y["q"] + 0.003 * rng.normal(size=t.size)}, name="flight")
+
+
+def test_a_vane_that_freezes_is_named_with_its_spans_and_left_out() -> None:
+    model = short_period()
+    spans = ((5.7, 7.0), (9.0, 10.2))
+    fit = ph.estimate(model, record(1, spans))
+    d = ph.diagnose(fit, validation=record(2, ((4.0, 5.0),)))
+    assert d.verdict == "named"
+    (found,) = d.findings
+    assert found.cause == "alpha:stuck"
+    assert "5.7 to 7 s" in found.explanation and "9 to 10.18 s" in found.explanation, found.explanation
+    assert "NaN" in found.advice
+    rms = float(np.sqrt(np.nanmean(d.fit.records[0].residuals["alpha"] ** 2)))
+    assert 0.0018 < rms < 0.0022
+    assert int(np.isnan(d.fit.records[0].measured["alpha"]).sum()) == 124
+
+
+def test_a_rounded_vane_at_rest_is_not_stuck() -> None:
+    fit = ph.estimate(short_period(), record(3, rounded=0.005))
+    d = ph.diagnose(fit, validation=record(4, rounded=0.005))
+    assert not any(f.cause.endswith(":stuck") for f in d.findings), d.summary()
+
+
+def test_a_vane_with_noise_is_not_stuck() -> None:
+    d = ph.diagnose(ph.estimate(short_period(), record(5)), validation=record(6))
+    assert d.verdict == "nothing", d.summary()

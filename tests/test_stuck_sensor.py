@@ -59,3 +59,14 @@ def test_a_rounded_vane_at_rest_is_not_stuck() -> None:
 def test_a_vane_with_noise_is_not_stuck() -> None:
     d = ph.diagnose(ph.estimate(short_period(), record(5)), validation=record(6))
     assert d.verdict == "nothing", d.summary()
+
+
+def test_samples_that_a_link_repeats_are_left_out() -> None:
+    lost = record(7)
+    alpha, rng = lost.output("alpha").copy(), np.random.default_rng(8)
+    for k in np.sort(rng.choice(np.arange(5, 690), 40, replace=False)):
+        alpha[k : k + 3] = alpha[k - 1]
+    d = ph.diagnose(ph.estimate(short_period(), lost.with_channels({"alpha": alpha})), validation=record(6))
+    (found,) = d.findings
+    assert found.cause == "alpha:stuck" and "more spans" in found.explanation
+    assert float(np.nanstd(d.fit.records[0].residuals["alpha"])) < 0.0022

@@ -21,8 +21,9 @@ __all__ = ["StuckSensor", "stuck_sensors", "without_stuck"]
 
 _Array = NDArray[np.float64]
 
-# Least samples that are the same, and the number of such runs that chance may be expected to give in a record.
-_SHORTEST, _BY_CHANCE = 6, 1e-4
+# The number of runs of the same value, as long as the least, that chance may be expected to give in a record. Shorter
+# ones count where there are so many, and times as many as chance gives, as where a radio link repeats what it lost.
+_BY_CHANCE, _MANY, _MORE = 1e-4, 8, 10.0
 # A sensor of which more than this part of the samples repeats the one before is recorded faster than it measures.
 _HELD = 0.3
 
@@ -96,14 +97,19 @@ def _runs(y: _Array) -> list[tuple[int, int]]:
     """Return first and last samples of runs of the same value, longer than noise lets them be."""
     known = np.flatnonzero(np.isfinite(y))
     z = y[known]
-    same = np.concatenate([[False], np.diff(z) == 0.0, [False]])
-    if z.size <= _SHORTEST or not same.any() or same.mean() > _HELD:
+    changes = np.abs(np.diff(z))
+    # At the ends of its range a sensor is clipped.
+    inside = (z > z.min()) & (z < z.max())
+    same = np.concatenate([[False], (changes == 0.0) & inside[1:], [False]])
+    if not same.any() or same.mean() > _HELD:
         return []
-    noise, step = noise_of(z), resolution_of([z])
-    if noise <= step or noise == 0.0:  # a rounded sensor at rest does the same
+    # Digits of a file are steps, too.
+    noise, step = noise_of(z), max(resolution_of([z]), float(changes[changes > 0.0].min()))
+    if noise <= step:  # a rounded sensor at rest does the same
         return []
     # Chance that noise and rounding give the same value twice.
-    twice = max(step / (2.0 * math.sqrt(math.pi) * noise), 1e-12)
-    least = max(_SHORTEST, math.ceil(math.log(_BY_CHANCE / z.size) / math.log(twice)))
+    twice = step / (2.0 * math.sqrt(math.pi) * noise)
+    many = same.sum() > max(_MANY, _MORE * twice * z.size)
+    least = 1 if many else math.ceil(math.log(_BY_CHANCE / z.size) / math.log(twice))
     change = np.flatnonzero(np.diff(same.astype(int)))
     return [(int(known[a]), int(known[b])) for a, b in zip(change[::2], change[1::2], strict=True) if b - a >= least]

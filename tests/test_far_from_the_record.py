@@ -1,5 +1,5 @@
-"""What is missing is found where the base model has little to do with the record: cogging, gravity in a position loop, a
-hardening spring driven through its resonance."""
+"""What is missing is found where the base model has little to do with the record: cogging, gravity in a position loop,
+a hardening spring driven through its resonance."""
 
 from __future__ import annotations
 

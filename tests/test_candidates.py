@@ -109,7 +109,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         "delay": 9,
         "deadband": 2,
         "saturation": 3,  # of Cm and of the inputs
-        "backlash": 3,  # of the inputs, and of the sensor of theta, a position
+        "backlash": 4,  # of the inputs, and of the sensors of theta, a position, and alpha, an angle
         "rate_limit": 2,
         "clipped": 7,
         "variation": 11,

@@ -41,7 +41,7 @@ from .search.findings import (
     finding_of_record_change,
     finding_of_recorded_input,
     finding_of_remainder,
-    finding_of_stuck_sensor,
+    finding_of_sensor_fault,
     finding_of_unsigned_sensor,
     no_optimum,
 )
@@ -53,8 +53,8 @@ from .search.refit import Refit, is_structured
 from .search.remainder import Remainder, RemainderSettings
 from .search.scan import NEARLY, Scan
 from .search.segments import Restart, restarted, segments_of, thinned
+from .search.sensor_fault import SensorFault, sensor_faults, without_faults
 from .search.stand_ins import without_stand_ins
-from .search.stuck_sensor import StuckSensor, stuck_sensors, without_stuck
 
 __all__ = [
     "candidates_given",
@@ -247,9 +247,10 @@ def diagnose(
     A fit that ended at no optimum is estimated again: continued, with parameters fixed that the data do not determine,
     or begun from short segments of the records, and a note says so. Where none of these converges the misfit is
     unexplained, and the finding says what the status of the fit means. Where an output is the size of what the model
-    has for it, without its sign, the model with that is estimated and diagnosed; where a sensor stays at one value, as
-    its noise does not let it, these samples are left out. Where the model cannot be fitted to
-    the validation records, blocks of the records are left out in turn as without them.
+    has for it, without its sign, the model with that is estimated and diagnosed; samples that a sensor which is stuck
+    or slowly renewed repeats are left out, and jumps of an angle by a turn are taken away. Where the model cannot be
+    fitted to the validation records, blocks of the records are left out in turn as without them. Long records are
+    searched in windows, and a note says so.
 
     Raises DataError for a fit that is exact or of too short a record, and for a validation record without the channels;
     OptionError and ModelError for candidates and biases that cannot be.
@@ -259,8 +260,8 @@ def diagnose(
     check_fit(fit)
     others = validation_given(fit, validation)
     free = freed(fit, others, biases)
-    stuck, fit = _stuck(fit, deadline)
-    others = without_stuck(others, stuck) if stuck else others
+    faults, fit = _faults(fit, deadline)
+    others = without_faults(others, faults) if faults else others
     unsigned = _unsigned(fit, deadline)
     fit = unsigned.fit if unsigned is not None else fit
     begun = collocated(fit) if fit.status in ENDED_WELL else fit
@@ -343,7 +344,7 @@ def diagnose(
             held = [finding_of_recorded_input(b, margin, units.get(b.name, "")) for b in told]
             held += [finding_of_record_change(c) for c in changes]
             held[:0] = [finding_of_unsigned_sensor(unsigned)] if unsigned is not None else []
-            held[:0] = [finding_of_stuck_sensor(s, search.assessment.settings.minor) for s in stuck]
+            held[:0] = [finding_of_sensor_fault(f, search.assessment.settings.minor) for f in faults]
             findings[:0] = held
             # In white residuals inputs that were sampled too slowly leave what looks like noise of them.
             slowly = sampled is not None and not is_structured(search.cache.base, RemainderSettings().structure)
@@ -408,7 +409,7 @@ def diagnose(
             _extension=extension,
             _full=full,
             _inputs=(
-                *(s.cause for s in stuck),
+                *(f.cause for f in faults),
                 *([unsigned.cause] if unsigned is not None else []),
                 *(b.cause for b in told),
             ),
@@ -416,11 +417,11 @@ def diagnose(
         )
 
 
-def _stuck(fit: FitResult, deadline: Deadline) -> tuple[list[StuckSensor], FitResult]:
-    """Return sensors that stay at a value, and the fit without these samples; within the time limit."""
+def _faults(fit: FitResult, deadline: Deadline) -> tuple[list[SensorFault], FitResult]:
+    """Return faults that samples of outputs show, and the fit without them; within the time limit."""
     try:
         with deadline.in_force():
-            return stuck_sensors(fit)
+            return sensor_faults(fit)
     except KeyboardInterrupt:
         return [], fit
 

@@ -381,7 +381,8 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
     yield ClippedSensor(
         f"{shown}:clipped", place, words, "clipped", scales, (), (names(f"limit_{y}"),), variables=(output_key(y),)
     )
-    if any(structure.is_position(v) and v.symbol in at_once for v in structure.variables):
+    shows = [v for v in structure.variables if v.symbol in at_once]
+    if any(structure.is_position(v) or (shows == [v] and structure.is_angle(v)) for v in shows):
         words = f"the sensor of {y} has play: after a turn it stays until the motion has gone on by twice the estimate"
         key = (output_key(y),)
         yield Backlash(

@@ -109,6 +109,10 @@ class ModelStructure:
         e = self.dynamics.get(variable.symbol) if variable.kind == "state" else None
         return e is not None and any(e == Expr.symbol(v.symbol) for v in self.variables if v.kind == "state")
 
+    def is_angle(self, variable: Variable) -> bool:
+        """Tell whether a variable is a state that is an angle, such as one of the flow, which turns a vane."""
+        return variable.kind == "state" and self.model.units.get(variable.symbol, "") in ANGLES
+
     @property
     def acting(self) -> list[str]:
         """Names of the free parameters that act on states, alone or through quantities, or multiply what varies in an

@@ -51,7 +51,7 @@ _BEYOND = 1.25
 
 # A sensor that may give no sign: no value below zero by more than so many times its noise, and dips to near zero, of
 # which each side rises again to a part of the largest values.
-_BELOW, _NEAR_ZERO, _RISES, _DIPS = 5.0, 0.1, 0.3, 3
+_BELOW, _NEAR_ZERO, _RISES, _DIPS = 5.0, 0.1, 0.3, 2
 # Part of the mean square of an output's residuals that a model of its size may leave.
 _LEFT_BY_SIZE = 0.25
 # Rounding of the size at zero, as a part of its largest values, beside the sensor's noise.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -22,14 +23,14 @@ from .record_change import RecordChange
 from .recorded_input import RecordedInput
 from .refit import Refit
 from .remainder import Remainder
-from .stuck_sensor import StuckSensor
+from .sensor_fault import SensorFault
 
 __all__ = [
     "finding_of",
     "finding_of_record_change",
     "finding_of_recorded_input",
     "finding_of_remainder",
-    "finding_of_stuck_sensor",
+    "finding_of_sensor_fault",
     "finding_of_unsigned_sensor",
     "no_optimum",
 ]
@@ -207,19 +208,29 @@ def finding_of_unsigned_sensor(s: UnsignedSensor) -> Finding:
     )
 
 
-def finding_of_stuck_sensor(s: StuckSensor, least: float) -> Finding:
-    """Return a sensor that stays at a value as it is told; minor where less than a part of its residuals lies there."""
-    listed = [f"from {number(a, 4)} to {number(b, 4)} s of '{record}'" for record, a, b in s.spans]
-    more = f" and in {len(listed) - _LISTED} more spans" if len(listed) > _LISTED else ""
-    return Finding(
-        cause=s.cause,
-        status="named" if s.part >= least else "minor",
-        explanation=(
-            f"{s.name} stays at one value {', '.join(listed[:_LISTED])}{more}, though its noise changes it from sample "
-            f"to sample elsewhere; {percent(s.part)} of the squares of its residuals lie there"
-        ),
-        advice="Mark these samples as missing (NaN): all else was sought without them.",
-    )
+def finding_of_sensor_fault(f: SensorFault, least: float) -> Finding:
+    """Return a fault of an output's samples as it is told; minor where it makes less than a part of the residuals."""
+    gone = f"{percent(f.part)} of the mean square of its residuals is gone without that"
+    if f.kind == "stuck":
+        listed = [f"from {number(a, 4)} to {number(b, 4)} s of '{record}'" for record, a, b in f.spans]
+        words = f"{f.name} stays at one value {_first(listed, 'spans')}, though its noise changes it elsewhere; {gone}"
+        advice = "Mark these samples as missing (NaN): all else was sought without them."
+    elif f.kind == "held":
+        words = f"{f.name} is renewed every {number(f.size, 3)} s, and each value is repeated until the next; {gone}"
+        advice = "Mark what is repeated as missing (NaN): all else was sought without it."
+    else:
+        listed = [f"at {number(a, 4)} s of '{record}'" for record, a, _ in f.spans]
+        turn = "360" if f.size > 10.0 else "2π"
+        words = f"{f.name} jumps by a turn ({turn}) {_first(listed, 'places')}; {gone}"
+        advice = f"Take the jumps away (numpy.unwrap, a period of {turn}): all else was sought without them."
+    status: Literal["named", "minor"] = "named" if f.part >= least else "minor"
+    return Finding(cause=f.cause, status=status, explanation=words, advice=advice)
+
+
+def _first(listed: Sequence[str], noun: str) -> str:
+    """Return the first of a list in words, and how many there are more."""
+    more = f" and in {len(listed) - _LISTED} more {noun}" if len(listed) > _LISTED else ""
+    return ", ".join(listed[:_LISTED]) + more
 
 
 def finding_of_record_change(c: RecordChange) -> Finding:

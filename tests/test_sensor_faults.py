@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import phugoid as ph
+from phugoid.discrepancy.search.sensor_fault import SensorFault
 
 STEP = 0.02
 
@@ -70,3 +72,39 @@ def test_samples_that_a_link_repeats_are_left_out() -> None:
     (found,) = d.findings
     assert found.cause == "alpha:stuck" and "more spans" in found.explanation
     assert float(np.nanstd(d.fit.records[0].residuals["alpha"])) < 0.0022
+
+
+def test_a_slow_sensor_that_is_repeated_keeps_only_its_own_samples() -> None:
+    fast = record(9)
+    held = fast.output("alpha")[np.arange(700) // 10 * 10]
+    d = ph.diagnose(ph.estimate(short_period(), fast.with_channels({"alpha": held})), validation=record(6))
+    (found,) = d.findings
+    assert found.cause == "alpha:held" and "every 0.2 s" in found.explanation
+    assert int(np.isfinite(d.fit.records[0].measured["alpha"]).sum()) == 70
+
+
+def test_an_encoder_that_turns_evenly_is_not_held() -> None:
+    fault = SensorFault("th", "held")
+    even = np.floor(np.arange(300) / 5.0) * 0.001
+    assert np.isfinite(fault.mended(even)).all()
+
+
+@pytest.mark.parametrize("turn", [2.0 * np.pi, 360.0])
+def test_an_angle_that_wraps_is_unwrapped(turn: float) -> None:
+    m = ph.Model("heading")
+    (delta,) = m.inputs(delta="")
+    psi, r = m.states(psi="", r="")
+    k, a = m.parameters(K=1.0, a=0.3)
+    m.dynamics(psi=r, r=k * delta - a * r)
+    m.outputs(psi=psi)
+
+    def sailed(seed: int) -> ph.Experiment:
+        rng, t = np.random.default_rng(seed), 0.2 * np.arange(600)
+        u = turn / 6.0 * np.repeat(rng.uniform(-0.05, 0.12, 20), 30)
+        y = ph.simulate(m, {"K": 1.2, "a": 0.4}, ph.Experiment(t, {"delta": u})).outputs["psi"]
+        y = y + 0.001 * turn * rng.normal(size=t.size)
+        return ph.Experiment(t, {"delta": u}, {"psi": (y + turn / 2.0) % turn - turn / 2.0}, name="turn")
+
+    d = ph.diagnose(ph.estimate(m, sailed(1)), validation=sailed(2))
+    assert [f.cause for f in d.findings] == ["psi:wrapped"], d.summary()
+    assert float(np.std(d.fit.records[0].residuals["psi"])) < 0.0012 * turn

@@ -1,0 +1,174 @@
+"""Faults of sensors and of their recording that the samples themselves show: a sensor that stays at its last value for
+a while, one that is renewed at a lower rate than it is recorded at, and an angle that jumps by a turn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...data.experiment import Experiment
+from ...errors import PhugoidError
+from ...estimation import estimate
+from ...fit_result import ENDED_WELL, FitResult, dataset
+from ...residual_noise import resolution_of
+from .recorded_input import noise_of
+
+__all__ = ["SensorFault", "sensor_faults", "without_faults"]
+
+_Array = NDArray[np.float64]
+
+# The number of runs of the same value, as long as the least, that chance may be expected to give in a record. Shorter
+# ones count where there are so many, and times as many as chance gives, as where a radio link repeats what it lost.
+_BY_CHANCE, _MANY, _MORE = 1e-4, 8, 10.0
+# A sensor of which more than this part of the samples repeats the one before is not stuck. It is renewed at a lower
+# rate where it changes at least so often, and but for this part of the changes at multiples of an interval.
+_REPEATED, _RENEWED, _REGULAR = 0.3, 12, 0.05
+# An angle wraps where it jumps by a turn, within a part of it, and hardly elsewhere.
+_TURNS, _WITHIN, _STEP = (2.0 * math.pi, 360.0), 0.1, 0.2
+
+
+@dataclass(frozen=True)
+class SensorFault:
+    """A fault of an output's samples.
+
+    name   of the output.
+    kind   "stuck": it stays at a value; "held": each value is repeated until the next; "wrapped": it jumps by a turn.
+    spans  record, first and last time of each span of a sensor that is stuck, each jump of one that wraps, in s.
+    size   a turn in the output's unit; the interval at which it is renewed, s.
+    part   of the squares of the output's residuals that are gone without the fault.
+    """
+
+    name: str
+    kind: Literal["stuck", "held", "wrapped"]
+    spans: tuple[tuple[str, float, float], ...] = ()
+    size: float = 0.0
+    part: float = 0.0
+
+    @property
+    def cause(self) -> str:
+        """Canonical name."""
+        return f"{self.name}:{self.kind}"
+
+    def mended(self, y: _Array) -> _Array:
+        """Return the samples (N,) of a record without the fault: those that tell nothing are NaN."""
+        y = y.copy()
+        if self.kind == "wrapped":
+            known = np.isfinite(y)
+            y[known] = np.unwrap(y[known], period=self.size)
+            return y
+        for first, last in _runs(y) if self.kind == "stuck" else _repeats(y):
+            y[first + 1 : last + 1] = np.nan
+        return y
+
+
+def sensor_faults(fit: FitResult) -> tuple[list[SensorFault], FitResult]:
+    """Return faults that the samples of the outputs show, and the fit to the records without them; none, and the fit as
+    it is, where there are none or no such fit."""
+    data = dataset(fit)
+    found = [fault for name in fit.model.output_names if (fault := _fault(data, name)) is not None]
+    if not found:
+        return [], fit
+    try:
+        start = fit if all(f.kind == "stuck" for f in found) else None  # the path of the others is another
+        records = without_faults(data, found)
+        mended = estimate(fit.model, records, transcription=fit.transcription, noise=fit.noise, start=start)
+    except (PhugoidError, np.linalg.LinAlgError):
+        return [], fit
+    if mended.status == "interrupted":
+        raise KeyboardInterrupt
+    if mended.status not in ENDED_WELL:
+        return [], fit
+    return [SensorFault(f.name, f.kind, f.spans, f.size, _part(fit, mended, f.name)) for f in found], mended
+
+
+def without_faults(data: Sequence[Experiment], faults: Sequence[SensorFault]) -> list[Experiment]:
+    """Return records without the faults."""
+    return [e.with_channels({f.name: f.mended(e.output(f.name)) for f in faults}) for e in data]
+
+
+def _part(before: FitResult, after: FitResult, name: str) -> float:
+    """Return the part of the mean square of an output's residuals that is gone."""
+    squares = [
+        float(np.nanmean(np.concatenate([r.residuals[name] for r in f.records]) ** 2)) if f.feasible else math.nan
+        for f in (before, after)
+    ]
+    return max(1.0 - squares[1] / squares[0], 0.0) if squares[0] > 0.0 and np.isfinite(squares).all() else 1.0
+
+
+def _fault(data: Sequence[Experiment], name: str) -> SensorFault | None:
+    for turn in _TURNS:
+        jumps = [(e.name, float(e.t[k]), float(e.t[k])) for e in data for k in _jumps(e.output(name), turn)]
+        if jumps:
+            return SensorFault(name, "wrapped", tuple(jumps), turn)
+    held = [e for e in data if _repeats(e.output(name))]
+    if len(held) == len(data):
+        renewed = [np.diff(e.t[_changes(e.output(name))]) for e in held]
+        return SensorFault(name, "held", size=float(np.median(np.concatenate(renewed))))
+    spans = [(e.name, float(e.t[a]), float(e.t[b])) for e in data for a, b in _runs(e.output(name))]
+    return SensorFault(name, "stuck", tuple(spans)) if spans else None
+
+
+def _jumps(y: _Array, turn: float) -> list[int]:
+    """Return the samples after which an angle (N,) jumps by a turn; none where its values go beyond one."""
+    known = np.flatnonzero(np.isfinite(y))
+    z = y[known]
+    if z.size < 2 or np.ptp(z) > (1.0 + _WITHIN) * turn:
+        return []
+    steps = np.abs(np.diff(z))
+    far = np.abs(steps - turn) < _WITHIN * turn
+    rest = steps[~far]
+    if not far.any() or not rest.size or float(rest.max()) > _STEP * turn:
+        return []
+    return [int(known[k]) for k in np.flatnonzero(far)]
+
+
+def _changes(y: _Array) -> NDArray[np.intp]:
+    """Return the samples at which a record (N,) has another value than before, without those that are missing."""
+    known = np.flatnonzero(np.isfinite(y))
+    return np.asarray(known[1:][np.diff(y[known]) != 0.0])
+
+
+def _repeats(y: _Array) -> list[tuple[int, int]]:
+    """Return first and last samples of what is repeated, where a record (N,) is renewed at regular intervals of several
+    samples."""
+    at = _changes(y)
+    if at.size < _RENEWED or not np.isfinite(y).all():
+        return []
+    sizes = np.abs(y[at] - y[at - 1])
+    if float(np.mean(sizes < 1.5 * sizes.min())) > 0.5:  # an encoder that turns evenly does the same
+        return []
+    steps = np.diff(at)
+    every = int(np.median(steps))
+    # A longer step is one at which the new value is the old one.
+    if every < 2 or float(np.mean(steps % every != 0)) > _REGULAR or float(np.mean(steps == every)) < 0.5:
+        return []
+    begins = np.arange(at[0] % every, y.size, every)
+    ends = np.append(begins[1:] - 1, y.size - 1)
+    return [(int(a), int(b)) for a, b in zip(begins, ends, strict=True)]
+
+
+def _runs(y: _Array) -> list[tuple[int, int]]:
+    """Return first and last samples of runs of the same value, longer than noise lets them be."""
+    known = np.flatnonzero(np.isfinite(y))
+    z = y[known]
+    changes = np.abs(np.diff(z))
+    # At the ends of its range a sensor is clipped.
+    inside = (z > z.min(initial=0.0)) & (z < z.max(initial=0.0)) if z.size else z > 0.0
+    same = np.concatenate([[False], (changes == 0.0) & inside[1:], [False]])
+    if not same.any() or same.mean() > _REPEATED:
+        return []
+    # Digits of a file are steps, too.
+    noise, step = noise_of(z), max(resolution_of([z]), float(changes[changes > 0.0].min()))
+    if noise <= step:  # a rounded sensor at rest does the same
+        return []
+    # Chance that noise and rounding give the same value twice.
+    twice = step / (2.0 * math.sqrt(math.pi) * noise)
+    many = same.sum() > max(_MANY, _MORE * twice * z.size)
+    least = 1 if many else math.ceil(math.log(_BY_CHANCE / z.size) / math.log(twice))
+    change = np.flatnonzero(np.diff(same.astype(int)))
+    return [(int(known[a]), int(known[b])) for a, b in zip(change[::2], change[1::2], strict=True) if b - a >= least]

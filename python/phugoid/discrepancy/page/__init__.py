@@ -40,6 +40,8 @@ _WIDTH = 110
 _MOSTLY = 0.9
 # Ratio of residuals to their noise, from which on what named causes leave is worth a word.
 _FAR = 1.5
+# Part of the misfit of data held out of which a cause leaves next to nothing.
+_NEARLY_ALL = 0.97
 
 
 def outcome(diagnosis: DiagnosisResult) -> Outcome:
@@ -100,6 +102,9 @@ def _remaining(diagnosis: DiagnosisResult) -> str:
     channels = [c for c in left if c.structured and c.predictable > _MOSTLY and c.ratio > _FAR]
     if not channels and not any(f.status == "unexplained" for f in diagnosis.findings):
         return ""
+    most = max((f.explained for f in diagnosis.findings if f.status == "named"), default=0.0)
+    if not channels and most > _NEARLY_ALL:
+        return " What is left of it is small, but more than noise, and its cause is not established."
     text = " A part of the misfit stays without an established cause"
     if channels:
         worst = max(channels, key=lambda c: c.ratio)

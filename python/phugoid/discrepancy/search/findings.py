@@ -38,6 +38,8 @@ __all__ = [
 _INTERVAL = 1.959963984540054  # 95 % of a normal distribution
 # Aliases that are named beside a cause.
 _ALIASES = 3
+# A scale error below this is an opposite sign.
+_TURNED = -1.5
 # Records that are listed with their values.
 _LISTED = 6
 _STANDS_IN = (
@@ -239,7 +241,12 @@ def finding_of_record_change(c: RecordChange) -> Finding:
     listed = [f"{number(v, 4)} ± {number(e, 2)}{unit} in '{record}'" for record, (v, e) in c.values.items()]
     more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""
     if c.is_scale:
-        advice = f"Compare units and calibration of {c.place.name} in these records: it is too large by these parts."
+        turned = [f"'{record}'" for record, (v, _) in c.values.items() if v < _TURNED]
+        advice = (
+            f"{c.place.name} has the opposite sign in {joined(turned)}: compare its wiring and sign convention."
+            if turned
+            else f"Compare units and calibration of {c.place.name} in these records: it is too large by these parts."
+        )
     elif c.place.kind == "output":
         advice = f"Declare a bias of {c.place.name} with per_experiment=True, or set the sensor up anew."
     elif c.place.kind == "parameter":

@@ -15,8 +15,6 @@ use crate::solver::Status;
 /// in a row end at the same optimum, which then is hardly one of many.
 const RESTARTS: usize = 20;
 const RETURNS: usize = 8;
-/// Restarts in a row without a gain after which output injection is tried.
-const PATIENCE: usize = 15;
 const GAIN: f64 = 1e-3;
 /// Ends of runs that differ by less than this are the same optimum.
 const SAME: f64 = 0.1;
@@ -31,7 +29,7 @@ impl Estimation<'_> {
     /// of the parameters drawn anew. It ends after so many restarts in a row without a gain: by default twenty, and two for
     /// each parameter, or eight that all return to the best end. Where the model cannot be simulated at the starting values,
     /// parameters are sought where it can. Where the best end leaves most of a densely sampled output unexplained, a path of
-    /// estimates with output injection is tried once. None where there are no parameters at which the model can be simulated.
+    /// estimates with output injection is tried once, and restarts go on from its end. None where there are no parameters at which the model can be simulated.
     pub(super) fn search_restarts(&self, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
         let parameters = &self.model.parameters;
         let values: Values = parameters.iter().map(|p| p.name.clone()).zip(self.parameters()?).collect();
@@ -45,15 +43,14 @@ impl Estimation<'_> {
             if search.is_stopped() || !goes_on && injection.is_none() {
                 break;
             }
-            if search.without >= PATIENCE || !goes_on {
-                let unexplained = |injection: &Injection| injection.may_improve(&search.fit);
-                if let Some(injection) = injection.take().filter(unexplained) {
-                    self.follow_injection(&injection, &mut search, watch)?;
-                    continue;
-                }
-            }
             if goes_on {
                 self.restart(&mut search, watch)?;
+                continue;
+            }
+            // Not before: a search that is not at its end has not failed.
+            let unexplained = |injection: &Injection| injection.may_improve(&search.fit);
+            if let Some(injection) = injection.take().filter(unexplained) {
+                self.follow_injection(&injection, &mut search, watch)?;
             }
         }
         let Search { mut fit, mut iterations, mut time, without, again, .. } = search;

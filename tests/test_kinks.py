@@ -181,3 +181,24 @@ def test_dry_friction_of_a_real_pendulum_is_estimated() -> None:
     assert fit.status == "converged"
     assert fit.parameters["f"].value == pytest.approx(0.553, rel=0.02)
     assert fit.parameters["d"].value == pytest.approx(0.00096, rel=0.05)
+
+
+def test_a_fit_that_goes_on_smooths_as_the_last_pass_did() -> None:
+    first = ph.estimate(oscillator(ph.sign), record(0))
+    assert first.smoothing is not None and len(first.smoothing.steps) > 2
+    again = ph.estimate(oscillator(ph.sign), record(0), start=first)
+    assert again.status == "converged" and again.smoothing is not None
+    assert len(again.smoothing.steps) == 1
+    assert again.smoothing.widths == first.smoothing.widths
+    changes = [{name: change for name, (change, _) in s.left.items()} for s in (again.smoothing, first.smoothing)]
+    assert changes[0] == changes[1]
+    assert again.iterations < first.iterations / 3
+    for name, e in first.parameters.items():
+        assert abs(again.parameters[name].value - e.value) < 0.05 * e.std_error
+
+
+def test_other_data_are_smoothed_from_the_beginning() -> None:
+    first = ph.estimate(oscillator(ph.sign), record(0))
+    shorter = record(0).window(0.0, 15.0)
+    other = ph.estimate(oscillator(ph.sign), shorter, start=first)
+    assert other.smoothing is not None and len(other.smoothing.steps) > 2

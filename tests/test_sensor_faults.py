@@ -108,3 +108,12 @@ def test_an_angle_that_wraps_is_unwrapped(turn: float) -> None:
     d = ph.diagnose(ph.estimate(m, sailed(1)), validation=sailed(2))
     assert [f.cause for f in d.findings] == ["psi:wrapped"], d.summary()
     assert float(np.std(d.fit.records[0].residuals["psi"])) < 0.0012 * turn
+
+
+def test_a_record_without_noise_that_begins_at_rest_is_not_stuck() -> None:
+    t = STEP * np.arange(700)
+    de = np.where(t > 1.0, 0.05 * np.sin(2.0 * t), 0.0)
+    y = ph.simulate(
+        short_period(), {"Za": -1.3, "Ma": -8.0, "Mq": -2.4, "Md": -13.0}, ph.Experiment(t, {"de": de})
+    ).outputs
+    assert np.isfinite(SensorFault("alpha", "stuck").mended(y["alpha"])).all()

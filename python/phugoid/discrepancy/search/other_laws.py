@@ -118,8 +118,12 @@ def _stands(search: Search, other: Refit | None, own: float) -> bool:
 
 def _removed(base: Refit, final: Refit) -> float:
     """Return how much less the sum of squares of the residuals is with all that was found, in units of the noise."""
-    scale = final.linear.scale()
-    return float(np.sum((base.linear.residuals / scale) ** 2) - np.sum((final.linear.residuals / scale) ** 2))
+    before, after = base.rms, final.rms
+    counts, sigmas = final.linear.counts, final.linear.sigmas
+    names = final.fit.model.output_names
+    return float(
+        sum(n * (before[y] ** 2 - after[y] ** 2) / s**2 for n, s, y in zip(counts, sigmas, names, strict=True))
+    )
 
 
 def _loss(at: Refit, parameter: str) -> float:

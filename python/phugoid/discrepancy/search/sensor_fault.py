@@ -28,6 +28,9 @@ _BY_CHANCE, _MANY, _MORE = 1e-4, 8, 10.0
 # A sensor of which more than this part of the samples repeats the one before is not stuck. It is renewed at a lower
 # rate where it changes at least so often, and but for this part of the changes at multiples of an interval.
 _REPEATED, _RENEWED, _REGULAR = 0.3, 12, 0.05
+# Mean product of the signs of neighbouring second differences, -2/3 for their correlation in white noise, below which a
+# sensor has noise from sample to sample; and the part of the residuals' mean square that is worth a word.
+_ALTERNATING, _LITTLE = -0.2, 0.005
 # An angle wraps where it jumps by a turn, within a part of it, and hardly elsewhere.
 _TURNS, _WITHIN, _STEP = (2.0 * math.pi, 360.0), 0.1, 0.2
 
@@ -55,7 +58,7 @@ class SensorFault:
         return f"{self.name}:{self.kind}"
 
     def mended(self, y: _Array) -> _Array:
-        """Return the samples (N,) of a record without the fault: those that tell nothing are NaN."""
+        """Return the samples (N,) of a record without the fault: those that only repeat others are NaN."""
         y = y.copy()
         if self.kind == "wrapped":
             known = np.isfinite(y)
@@ -83,7 +86,9 @@ def sensor_faults(fit: FitResult) -> tuple[list[SensorFault], FitResult]:
         raise KeyboardInterrupt
     if mended.status not in ENDED_WELL:
         return [], fit
-    return [SensorFault(f.name, f.kind, f.spans, f.size, _part(fit, mended, f.name)) for f in found], mended
+    told = [SensorFault(f.name, f.kind, f.spans, f.size, _part(fit, mended, f.name)) for f in found]
+    told = [f for f in told if f.part > _LITTLE]
+    return (told, mended) if told else ([], fit)
 
 
 def without_faults(data: Sequence[Experiment], faults: Sequence[SensorFault]) -> list[Experiment]:
@@ -164,7 +169,8 @@ def _runs(y: _Array) -> list[tuple[int, int]]:
         return []
     # Digits of a file are steps, too.
     noise, step = noise_of(z), max(resolution_of([z]), float(changes[changes > 0.0].min()))
-    if noise <= step:  # a rounded sensor at rest does the same
+    signs = np.sign(np.diff(z, 2))
+    if noise <= step or float(np.mean(signs[1:] * signs[:-1])) > _ALTERNATING:  # a sensor without noise does so at rest
         return []
     # Chance that noise and rounding give the same value twice.
     twice = step / (2.0 * math.sqrt(math.pi) * noise)

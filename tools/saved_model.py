@@ -2,9 +2,9 @@
 
     python tools/saved_model.py
 
-writes rust/core/tests/suite/data/saved_model.json, which rust/core/tests/suite/saved_model.rs reads; tests/test_saved_model.py
-sees to it that the file is what this script makes. Numbers are the 16 hexadecimal digits of their 64 bits, one after
-the other.
+writes rust/core/tests/suite/data/saved_model.json, which rust/core/tests/suite/saved_model.rs reads;
+tests/test_saved_model.py sees to it that the file is what this script makes. Numbers are the 16 hexadecimal digits of
+their 64 bits, one after the other.
 """
 
 import json

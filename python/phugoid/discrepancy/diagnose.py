@@ -344,7 +344,7 @@ def diagnose(
             held = [finding_of_recorded_input(b, margin, units.get(b.name, "")) for b in told]
             held += [finding_of_record_change(c) for c in changes]
             held[:0] = [finding_of_unsigned_sensor(unsigned)] if unsigned is not None else []
-            held[:0] = [finding_of_sensor_fault(f, search.assessment.settings.minor) for f in faults]
+            held[:0] = [finding_of_sensor_fault(f) for f in faults]
             findings[:0] = held
             # In white residuals inputs that were sampled too slowly leave what looks like noise of them.
             slowly = sampled is not None and not is_structured(search.cache.base, RemainderSettings().structure)

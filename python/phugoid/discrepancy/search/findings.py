@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 
@@ -210,8 +209,8 @@ def finding_of_unsigned_sensor(s: UnsignedSensor) -> Finding:
     )
 
 
-def finding_of_sensor_fault(f: SensorFault, least: float) -> Finding:
-    """Return a fault of an output's samples as it is told; minor where it makes less than a part of the residuals."""
+def finding_of_sensor_fault(f: SensorFault) -> Finding:
+    """Return a fault of an output's samples as it is told."""
     gone = f"{percent(f.part)} of the mean square of its residuals is gone without that"
     if f.kind == "stuck":
         listed = [f"from {number(a, 4)} to {number(b, 4)} s of '{record}'" for record, a, b in f.spans]
@@ -225,8 +224,7 @@ def finding_of_sensor_fault(f: SensorFault, least: float) -> Finding:
         turn = "360" if f.size > 10.0 else "2π"
         words = f"{f.name} jumps by a turn ({turn}) {_first(listed, 'places')}; {gone}"
         advice = f"Take the jumps away (numpy.unwrap, a period of {turn}): all else was sought without them."
-    status: Literal["named", "minor"] = "named" if f.part >= least else "minor"
-    return Finding(cause=f.cause, status=status, explanation=words, advice=advice)
+    return Finding(cause=f.cause, status="named", explanation=words, advice=advice)
 
 
 def _first(listed: Sequence[str], noun: str) -> str:

@@ -346,8 +346,10 @@ def on_other_data(
     if near is not None:  # its path may be out of reach of this model: then the measured one
         starts.insert(0, _with_paths(started_from(near.fit, ()), refit.candidates, near.points, values))
     best: FitResult | None = None
+    limit = max(_ELSEWHERE, _TIMES * fit.time)
     for start in starts:
-        solver = Newton(time_limit=max(_ELSEWHERE, _TIMES * fit.time))
+        # From where only first states are wrong few iterations lead to another branch.
+        solver = _SOLVER if best is not None else Newton(time_limit=limit)
         found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)
         if found.status == "time limit":
             check_time()  # that of the diagnosis

@@ -30,7 +30,7 @@ _BY_CHANCE, _MANY, _MORE = 1e-4, 8, 10.0
 _REPEATED, _RENEWED, _REGULAR = 0.3, 12, 0.05
 # Mean product of the signs of neighbouring second differences, -2/3 for their correlation in white noise, below which a
 # sensor has noise from sample to sample; and the part of the residuals' mean square that is worth a word.
-_ALTERNATING, _LITTLE = -0.2, 0.005
+_ALTERNATING, _LITTLE = -0.2, 0.05
 # An angle wraps where it jumps by a turn, within a part of it, and hardly elsewhere.
 _TURNS, _WITHIN, _STEP = (2.0 * math.pi, 360.0), 0.1, 0.2
 

@@ -3,39 +3,17 @@ a hardening spring driven through its resonance."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
+from rigs import integrated, named, steps
 
 import phugoid as ph
-
-_Array = np.ndarray
-
-
-def integrated(f: Callable[[_Array, float], Sequence[float]], x: Sequence[float], u: _Array, step: float) -> _Array:
-    """Return states (N, n) by the classical Runge-Kutta method, the input held over each step."""
-    path = [np.asarray(x, dtype=float)]
-    for now in u[:-1].tolist():
-        at = path[-1]
-        k1 = np.asarray(f(at, now))
-        k2 = np.asarray(f(at + 0.5 * step * k1, now))
-        k3 = np.asarray(f(at + 0.5 * step * k2, now))
-        k4 = np.asarray(f(at + step * k3, now))
-        path.append(at + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
-    return np.array(path)
-
-
-def steps(rng: np.random.Generator, samples: int, each: int, size: float) -> _Array:
-    return np.repeat(rng.uniform(-size, size, samples // each + 1), each)[:samples]
 
 
 def diagnosed(m: ph.Model, record: Callable[[int], ph.Experiment], *names: str) -> ph.Diagnosis:
     fit = ph.estimate(m, record(1))
     return ph.diagnose(fit, ph.candidates(m).only(*names), validation=record(2))
-
-
-def causes(d: ph.Diagnosis) -> list[str]:
-    return [f.cause for f in d.findings if f.status == "named"]
 
 
 def motor() -> ph.Model:
@@ -50,18 +28,20 @@ def motor() -> ph.Model:
 
 def test_cogging_is_found_by_its_number_a_turn_over_many_turns() -> None:
     def record(seed: int) -> ph.Experiment:
-        rng, fine = np.random.default_rng(seed), 0.001
-        u = steps(rng, 8000, 400, 1.2) + 0.4
-        x = integrated(lambda x, u: [x[1], 40.0 * u - 6.0 * x[1] - 15.0 * np.sin(14.0 * x[0])], [0.0, 0.0], u, fine)[
-            ::8
-        ]
+        rng, t = np.random.default_rng(seed), 0.001 * np.arange(8000)
+        u = steps(rng, t, -0.8, 1.6, 0.4)
+
+        def motion(x: np.ndarray, u: float) -> np.ndarray:
+            return np.array([x[1], 40.0 * u - 6.0 * x[1] - 15.0 * np.sin(14.0 * x[0])])
+
+        x = integrated(motion, np.zeros(2), t, u, finer=1)[::8]
         th = np.round(x[:, 0] / 0.0015) * 0.0015
         w = x[:, 1] + 0.08 * rng.normal(size=len(x))
-        return ph.Experiment(8 * fine * np.arange(len(x)), {"u": u[::8]}, {"th": th, "w": w}, interpolation="hold")
+        return ph.Experiment(t[::8], {"u": u[::8]}, {"th": th, "w": w}, interpolation="hold")
 
     d = diagnosed(motor(), record, "w':periodic_th", "w':sign(w)", "w':w|w|", "u:deadband", "w':bias", "w':th")
-    assert causes(d) == ["w':periodic_th"], d.summary()
-    (found,) = (f for f in d.findings if f.status == "named")
+    assert [f.cause for f in named(d)] == ["w':periodic_th"], d.summary()
+    (found,) = named(d)
     number, error = found.parameters["wave_number_w_dot_th"]
     assert abs(number - 14.0) < 0.02 and error < 0.02
     assert found.explained > 0.95
@@ -72,7 +52,7 @@ def test_gravity_in_a_position_loop_is_no_end_stop() -> None:
 
     def record(seed: int) -> ph.Experiment:
         rng, fine, every = np.random.default_rng(seed), 0.002, 5
-        reference = steps(rng, 6000, 700, 1.3)
+        reference = steps(rng, fine * np.arange(6000), -1.3, 1.3, 1.4)
         x, path, acting = np.zeros(2), [], []
         u = 0.0
         for k, r in enumerate(reference.tolist()):
@@ -89,7 +69,7 @@ def test_gravity_in_a_position_loop_is_no_end_stop() -> None:
         return ph.Experiment(t, {"u": np.array(acting)}, {"th": th, "w": w}, interpolation="hold")
 
     d = diagnosed(m, record, "w':th", "w':th^3", "th:limit", "w':bias", "w':th|th|", "w':sign(w)", "u:lag")
-    assert causes(d)[:1] == ["w':th"] and "th:limit" not in causes(d), d.summary()
+    assert [f.cause for f in named(d)][:1] == ["w':th"] and "th:limit" not in [f.cause for f in named(d)], d.summary()
 
 
 def test_a_hardening_spring_is_found_on_the_other_branch_of_its_resonance() -> None:
@@ -101,17 +81,18 @@ def test_a_hardening_spring_is_found_on_the_other_branch_of_its_resonance() -> N
     m.outputs(x=x)
 
     def record(seed: int) -> ph.Experiment:
-        rng, fine = np.random.default_rng(seed), 0.001
-        t = fine * np.arange(8000)
+        rng, t = np.random.default_rng(seed), 0.001 * np.arange(8000)
         ends = (2.0, 7.0) if seed == 1 else (6.5, 2.5)
         u = 9.0 * np.sin(2.0 * np.pi * (ends[0] * t + 0.5 * (ends[1] - ends[0]) * t**2 / t[-1]))
-        path = integrated(
-            lambda x, u: [x[1], 1000.0 * u - 650.0 * x[0] - 2.2 * x[1] - 2.4 * x[0] ** 3], [0.0, 0.0], u, fine
-        )
+
+        def motion(x: np.ndarray, u: float) -> np.ndarray:
+            return np.array([x[1], 1000.0 * u - 650.0 * x[0] - 2.2 * x[1] - 2.4 * x[0] ** 3])
+
+        path = integrated(motion, np.zeros(2), t, u, finer=1)
         y = path[::4, 0] + 0.04 * rng.normal(size=2000)
         return ph.Experiment(t[::4], {"F": u[::4]}, {"x": y}, interpolation="cubic")
 
     d = diagnosed(m, record, "v':x^3", "v':x|x|", "x:x^3", "v':v|v|", "v':bias")
-    assert causes(d) == ["v':x^3"], d.summary()
-    (found,) = (f for f in d.findings if f.status == "named")
+    assert [f.cause for f in named(d)] == ["v':x^3"], d.summary()
+    (found,) = named(d)
     assert abs(found.coefficient + 2.4) < 0.05 and found.explained > 0.95

@@ -9,30 +9,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from rigs import integrated, named, steps
 
 import phugoid as ph
 from phugoid.sensitivities import shown_by_outputs
 
 _Array = np.ndarray
-
-
-def steps(rng: np.random.Generator, t: _Array, low: float, high: float, each: float) -> _Array:
-    """Levels that are held for a while, each."""
-    levels = rng.uniform(low, high, int(t[-1] / each) + 2)
-    return levels[(t / each).astype(int)]
-
-
-def integrated(f: Callable[[_Array, float], _Array], x: _Array, t: _Array, u: _Array, finer: int = 4) -> _Array:
-    """States at the samples, by Runge and Kutta's method, inputs held."""
-    h, found = (t[1] - t[0]) / finer, [x]
-    for now in u[:-1]:
-        for _ in range(finer):
-            a = f(x, now)
-            b = f(x + h / 2 * a, now)
-            c = f(x + h / 2 * b, now)
-            x = x + h / 6 * (a + 2 * b + 2 * c + f(x + h * c, now))
-        found.append(x)
-    return np.array(found)
 
 
 def tank(seed: int, name: str, gauge: float = 0.0) -> ph.Experiment:
@@ -51,10 +33,6 @@ def tank_model(outlet: Callable[[ph.Expr], ph.Expr]) -> ph.Model:
     m.dynamics(h=k * u - c * outlet(h))
     m.outputs(h=h)
     return m
-
-
-def named(d: ph.Diagnosis) -> list[ph.results.Finding]:
-    return [f for f in d.findings if f.status == "named"]
 
 
 def test_flow_through_an_orifice_is_named() -> None:

@@ -117,3 +117,9 @@ def test_a_record_without_noise_that_begins_at_rest_is_not_stuck() -> None:
         short_period(), {"Za": -1.3, "Ma": -8.0, "Mq": -2.4, "Md": -13.0}, ph.Experiment(t, {"de": de})
     ).outputs
     assert np.isfinite(SensorFault("alpha", "stuck").mended(y["alpha"])).all()
+
+
+def test_a_sensor_at_the_lower_end_of_its_range_is_clipped_and_not_stuck() -> None:
+    speed = 25.0 + 10.0 * np.sin(0.05 * np.arange(600)) + 0.1 * np.random.default_rng(1).normal(size=600)
+    read = np.maximum(speed, 20.0)
+    assert np.isfinite(SensorFault("V", "stuck").mended(read)).all()

@@ -167,6 +167,13 @@ class FitResult:
         )
 
 
+def mean_square(fit: FitResult, name: str) -> float:
+    """Return the mean square of an output's residuals over all records; NaN where there are none."""
+    residuals = np.concatenate([r.residuals[name] for r in fit.records])
+    residuals = residuals[np.isfinite(residuals)]
+    return float(np.mean(residuals**2)) if residuals.size else math.nan
+
+
 def dataset(fit: FitResult) -> Sequence[Experiment]:
     """Return the data of a fit; for a fit from a file, what its records hold."""
     if fit.experiments:

@@ -6,7 +6,8 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -24,7 +25,6 @@ from .discrimination import advice_of
 from .search import Search, SearchResult
 from .search.confirmation import Found
 from .search.data_suspects import (
-    UnsignedSensor,
     unsigned_sensor,
     with_changes,
     with_inputs_as_recorded,
@@ -70,6 +70,9 @@ __all__ = [
 _FEWEST, _EACH = 40, 5
 # Of an output's spread: a residual below it is rounding.
 _EXACT = 1e-9
+
+
+_Found = TypeVar("_Found")
 
 
 def check_fit(fit: Any) -> None:
@@ -260,12 +263,16 @@ def diagnose(
     check_fit(fit)
     others = validation_given(fit, validation)
     free = freed(fit, others, biases)
-    faults, fit = _faults(fit, deadline)
+    no_faults: tuple[list[SensorFault], FitResult] = ([], fit)
+    faults, fit = _within(deadline, partial(sensor_faults, fit), no_faults)
     others = without_faults(others, faults) if faults else others
-    unsigned = _unsigned(fit, deadline)
+    unsigned = _within(deadline, partial(unsigned_sensor, fit), None)
     fit = unsigned.fit if unsigned is not None else fit
     begun = collocated(fit) if fit.status in ENDED_WELL else fit
-    restart = None if begun.status in ENDED_WELL else _restarted(begun, others, deadline)
+    restart = None
+    if begun.status not in ENDED_WELL:
+        not_again = f"The fit ended as '{begun.status}', and the diagnosis before it could be estimated again"
+        restart = _within(deadline, partial(restarted, begun, others), Restart(None, not_again))
     if restart is not None:
         if restart.fit is None:
             return no_optimum(fit, restart.words, time.perf_counter() - started)
@@ -417,31 +424,13 @@ def diagnose(
         )
 
 
-def _faults(fit: FitResult, deadline: Deadline) -> tuple[list[SensorFault], FitResult]:
-    """Return faults that samples of outputs show, and the fit without them; within the time limit."""
+def _within(deadline: Deadline, work: Callable[[], _Found], otherwise: _Found) -> _Found:
+    """Return what is found within the time limit, or what there is where that, or the user, ends it."""
     try:
         with deadline.in_force():
-            return sensor_faults(fit)
+            return work()
     except KeyboardInterrupt:
-        return [], fit
-
-
-def _unsigned(fit: FitResult, deadline: Deadline) -> UnsignedSensor | None:
-    """Return the sensor that gives no sign, with the fit of a model that has it so; within the time limit."""
-    try:
-        with deadline.in_force():
-            return unsigned_sensor(fit)
-    except KeyboardInterrupt:
-        return None
-
-
-def _restarted(fit: FitResult, others: Sequence[Experiment], deadline: Deadline) -> Restart:
-    """Return what became of a fit that ended at no optimum; within the time limit."""
-    try:
-        with deadline.in_force():
-            return restarted(fit, others)
-    except KeyboardInterrupt:
-        return Restart(None, f"The fit ended as '{fit.status}', and the diagnosis before it could be estimated again")
+        return otherwise
 
 
 def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:

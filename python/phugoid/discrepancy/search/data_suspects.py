@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...errors import PhugoidError
 from ...estimation import estimate
-from ...fit_result import ENDED_WELL, FitResult, dataset
+from ...fit_result import ENDED_WELL, FitResult, dataset, mean_square
 from ...frozen_model import freed_by_default
 from ...functions import smooth_abs
 from ..candidates.candidate import Candidate
@@ -90,7 +90,7 @@ def unsigned_sensor(fit: FitResult) -> UnsignedSensor | None:
             continue
         values = np.concatenate(measured)
         # A path that ended infeasible has no residuals.
-        before = _mean_square(fit, name) if fit.feasible else float(np.var(values))
+        before = mean_square(fit, name) if fit.feasible else float(np.var(values))
         if before < _LEFT_BY_SIZE * float(np.var(values)):  # the model follows it as it is
             continue
         width = max(*map(noise_of, measured), _ROUNDED_SIZE * float(values.max()))
@@ -102,13 +102,9 @@ def unsigned_sensor(fit: FitResult) -> UnsignedSensor | None:
             continue
         if found.status == "interrupted":
             raise KeyboardInterrupt
-        if found.status in ENDED_WELL and (after := _mean_square(found, name)) < _LEFT_BY_SIZE * before:
+        if found.status in ENDED_WELL and (after := mean_square(found, name)) < _LEFT_BY_SIZE * before:
             return UnsignedSensor(name, found, 1.0 - after / before)
     return None
-
-
-def _mean_square(fit: FitResult, name: str) -> float:
-    return float(np.nanmean(np.concatenate([r.residuals[name] for r in fit.records]) ** 2))
 
 
 def _may_be_size(records: Sequence[NDArray[np.float64]]) -> bool:

@@ -110,10 +110,7 @@ def no_optimum(fit: FitResult, words: str, seconds: float) -> DiagnosisResult:
     """Return the diagnosis of a fit that ended at no optimum, and could not be brought to one: a misfit that is
     unexplained, with what the status means."""
     finding = Finding(cause="", status="unexplained", explanation=words)
-    rms = {}
-    for name in fit.model.output_names:
-        r = np.concatenate([record.residuals[name] for record in fit.records])
-        rms[name] = float(np.sqrt(np.mean(r[np.isfinite(r)] ** 2))) if np.isfinite(r).any() else math.nan
+    rms = Refit((), fit).rms
     nothing = ExtensionResult(fit.model, fit, (), Gain(0.0, 0.0, 0.0, math.nan, rms, rms))
     notes = ("No candidate was compared with the records: there is no optimum about which to compare.",)
     return DiagnosisResult(fit, (finding,), (), math.nan, notes, False, seconds, _extension=nothing)

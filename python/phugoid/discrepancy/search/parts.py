@@ -87,24 +87,22 @@ def parts_of(base: Refit, validation: Sequence[Experiment]) -> Parts | None:
         return None
     misfits = [_misfit(base, e) for e in range(len(records))]
     one = any(p.per_experiment for p in fit.model.declared_parameters.values())
-    pieces = _windows(records, misfits, most, one)
+    windows = _windows(records, misfits, most, one)
+    pieces = [piece for of_record in windows for piece in of_record]
     found = fitted_to(Refit((), fit), pieces, start=values_of(fit), solver=None)
     if found is None:
         return None
     others = list(validation)
     if sum(e.n for e in others) > _MORE * most:
-        others = _windows(others, [np.ones(e.n) for e in others], most, one)
-    return Parts(found, others, base, len(pieces) > len({e.name.partition(_FROM)[0] for e in pieces}))
-
-
-_FROM = " from "
+        others = [piece for w in _windows(others, [np.ones(e.n) for e in others], most, one) for piece in w]
+    return Parts(found, others, base, any(len(of_record) > 1 for of_record in windows))
 
 
 def _windows(
     records: Sequence[Experiment], misfits: Sequence[NDArray[np.float64]], most: int, one: bool
-) -> list[Experiment]:
-    """Return windows of records, of ``most`` samples together, where the misfits (N,) of their stretches are largest;
-    ``one`` of each record, or none."""
+) -> list[list[Experiment]]:
+    """Return windows of each record, of ``most`` samples together, where the misfits (N,) of their stretches are
+    largest; ``one`` of each record, or none."""
     count = max(min(max(_COUNT, len(records)), most // _SHORTEST), 1)
     length = most // count
     if len(records) > count:  # some of them, evenly
@@ -114,13 +112,14 @@ def _windows(
     found = []
     for e, misfit in zip(records, misfits, strict=True):
         share = 1 if one else max(round(count * e.n / total), 1)
+        pieces = []
         for stretch in np.array_split(np.arange(e.n), share):
             own = min(most // len(records) if one else length, stretch.size)
             sums = np.convolve(misfit[stretch], np.ones(own), mode="valid")
             first = int(stretch[0]) + int(np.argmax(sums))
-            whole = own == e.n
-            name = e.name if whole else f"{e.name}{_FROM}{e.t[first]:.4g} s"
-            found.append(e if whole else e.window(e.t[first], e.t[first + own - 1], name=name))
+            name = f"{e.name} from {e.t[first]:.4g} s"
+            pieces.append(e if own == e.n else e.window(e.t[first], e.t[first + own - 1], name=name))
+        found.append(pieces)
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from ...data.experiment import Experiment
 from ...errors import DataError, ModelError, PhugoidError
 from ...estimation import estimate
-from ...fit_result import ENDED_WELL, FitResult, dataset
+from ...fit_result import ENDED_WELL, FitResult, dataset, mean_square
 from ...frozen_model import estimates_of, freed_by_default, freeze_model, freeze_noise, mesh_for
 from ...modelling.model import Model
 from ...parameters import Estimates
@@ -90,8 +91,7 @@ class Refit:
     @property
     def rms(self) -> dict[str, float]:
         """Output -> RMS of the residuals over all records."""
-        each = {n: np.concatenate([r.residuals[n] for r in self.fit.records]) for n in self.fit.model.output_names}
-        return {n: float(np.sqrt(np.nanmean(r**2))) for n, r in each.items()}
+        return {n: math.sqrt(mean_square(self.fit, n)) for n in self.fit.model.output_names}
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
 from ...errors import EvaluationError, PhugoidError
-from ...fit_result import FitResult
+from ...fit_result import FitResult, mean_square
 from ...frozen_model import freed_by_default
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.linearised import Linearised
@@ -188,9 +188,7 @@ class RefitCache:
             return 1.0
         left = []
         for name in self.base.fit.model.output_names:
-            before, now = (
-                sum(float(np.nansum(r.residuals[name] ** 2)) for r in f.records) for f in (self.base.fit, near)
-            )
+            before, now = (mean_square(f, name) for f in (self.base.fit, near))
             left.append(now / before if before > 0.0 else 1.0)
         return min(max(left), 1.0)
 
@@ -296,10 +294,9 @@ def _unexplained(fit: FitResult, names: Sequence[str]) -> list[str]:
     """Return the outputs of which a fit leaves most of what they do."""
     found = []
     for name in names:
-        left = sum(float(np.nansum(r.residuals[name] ** 2)) for r in fit.records)
-        measured = [r.measured[name] for r in fit.records]
-        whole = sum(float(np.nansum((y - np.nanmean(y)) ** 2)) for y in measured if np.isfinite(y).any())
-        if left > _USELESS * whole:
+        measured = [y for y in (r.measured[name] for r in fit.records) if np.isfinite(y).any()]
+        moved = np.concatenate([np.zeros(0), *(y - np.nanmean(y) for y in measured)])
+        if moved.size and mean_square(fit, name) > _USELESS * float(np.nanmean(moved**2)):
             found.append(name)
     return found
 

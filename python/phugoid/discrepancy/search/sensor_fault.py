@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ...estimation import estimate
-from ...fit_result import ENDED_WELL, FitResult, dataset
+from ...fit_result import ENDED_WELL, FitResult, dataset, mean_square
 from ...residual_noise import resolution_of
 from .recorded_input import noise_of
 
@@ -25,6 +25,8 @@ _Array = NDArray[np.float64]
 # The number of runs of the same value, as long as the least, that chance may be expected to give in a record. Shorter
 # ones count where there are so many, and times as many as chance gives, as where a radio link repeats what it lost.
 _BY_CHANCE, _MANY, _MORE = 1e-4, 8, 10.0
+# Samples that tell noise.
+_FEWEST = 12
 # A sensor of which more than this part of the samples repeats the one before is not stuck. It is renewed at a lower
 # rate where it changes at least so often, and but for this part of the changes at multiples of an interval.
 _REPEATED, _RENEWED, _REGULAR = 0.3, 12, 0.05
@@ -86,7 +88,7 @@ def sensor_faults(fit: FitResult) -> tuple[list[SensorFault], FitResult]:
         raise KeyboardInterrupt
     if mended.status not in ENDED_WELL:
         return [], fit
-    told = [SensorFault(f.name, f.kind, f.spans, f.size, _part(fit, mended, f.name)) for f in found]
+    told = [replace(f, part=_part(fit, mended, f.name)) for f in found]
     told = [f for f in told if f.part > _LITTLE]
     return (told, mended) if told else ([], fit)
 
@@ -98,10 +100,7 @@ def without_faults(data: Sequence[Experiment], faults: Sequence[SensorFault]) ->
 
 def _part(before: FitResult, after: FitResult, name: str) -> float:
     """Return the part of the mean square of an output's residuals that is gone."""
-    squares = [
-        float(np.nanmean(np.concatenate([r.residuals[name] for r in f.records]) ** 2)) if f.feasible else math.nan
-        for f in (before, after)
-    ]
+    squares = [mean_square(f, name) if f.feasible else math.nan for f in (before, after)]
     return max(1.0 - squares[1] / squares[0], 0.0) if squares[0] > 0.0 and np.isfinite(squares).all() else 1.0
 
 
@@ -161,9 +160,11 @@ def _runs(y: _Array) -> list[tuple[int, int]]:
     """Return first and last samples of runs of the same value, longer than noise lets them be."""
     known = np.flatnonzero(np.isfinite(y))
     z = y[known]
+    if z.size < _FEWEST:
+        return []
     changes = np.abs(np.diff(z))
     # At the ends of its range a sensor is clipped.
-    inside = (z > z.min(initial=0.0)) & (z < z.max(initial=0.0)) if z.size else z > 0.0
+    inside = (z > z.min()) & (z < z.max())
     same = np.concatenate([[False], (changes == 0.0) & inside[1:], [False]])
     if not same.any() or same.mean() > _REPEATED:
         return []

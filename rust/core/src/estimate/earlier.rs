@@ -35,7 +35,7 @@ pub struct Smoothed {
 }
 
 impl Smoothed {
-    /// The widths of a model's kinks; None where it has others, or two that have the same words.
+    /// Returns the widths of a model's kinks; None where it has others, or two that have the same words.
     pub(super) fn widths_of(&self, kinks: &[Kink]) -> Option<Vec<f64>> {
         let labels: Vec<String> = kinks.iter().map(Kink::label).collect();
         let width = |label: &String| {
@@ -45,7 +45,7 @@ impl Smoothed {
         labels.iter().map(width).collect()
     }
 
-    /// Whether the mesh is one of these experiments.
+    /// Returns whether the mesh is one of these experiments.
     pub(super) fn is_of(&self, experiments: &[Experiment]) -> bool {
         let same = |(e, edges): (&Experiment, &Vec<f64>)| {
             let (Some(first), Some(last)) = (edges.first(), edges.last()) else { return false };
@@ -118,7 +118,7 @@ impl From<&Fit> for Earlier {
 }
 
 impl Fit {
-    /// How kinks were smoothed, for a fit that goes on from this one.
+    /// Returns how kinks were smoothed, for a fit that goes on from this one.
     fn smoothed(&self) -> Option<Smoothed> {
         let (smoothing, Transcription::Collocation(mesh)) = (self.smoothing.as_ref()?, &self.transcription)
         else {

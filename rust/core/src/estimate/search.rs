@@ -25,7 +25,7 @@ pub(super) struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Whether the time is over, or the user has stopped it.
+    /// Returns whether the time is over, or the user has stopped it.
     pub(super) fn is_stopped(&self) -> bool {
         self.fit.status.was_stopped() || current().stops()
     }

@@ -105,7 +105,7 @@ impl Smoothing {
 /// A fit of the model smoothed over widths of some part of the spreads.
 type Pass = (f64, Fit);
 
-/// Whether a pass converged on a mesh that resolves its motion.
+/// Returns whether a pass converged on a mesh that resolves its motion.
 fn good(fit: &Fit) -> bool {
     fit.status == Status::Converged && fit.refinement.as_ref().is_some_and(|r| r.met())
 }
@@ -201,7 +201,7 @@ impl Estimation<'_> {
         Ok(Some(self.reported(vec![(part, fit)], &widths, left, 0, began.elapsed())))
     }
 
-    /// The last pass as a fit of the model with kinks, which says how these were smoothed, and how many iterations went before.
+    /// Returns the last pass as a fit of the model with kinks, which says how these were smoothed, and how many iterations went before.
     fn reported(
         &self,
         passes: Vec<Pass>,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, combinations_with_replacement
 from typing import Any, Literal
 
 from ..._core import Expr
@@ -47,6 +47,8 @@ FAMILIES = (
     "product",
     "cube",
     "damping",
+    "rotation",
+    "effectiveness",
     "quadratic",
     "absolute",
     "root",
@@ -70,6 +72,8 @@ FAMILIES = (
 )
 # Those with a signal that depends on no shape: only they can be seen to be the same at single points.
 _STATIC = FAMILIES[: FAMILIES.index("lag")]
+# Coordinates of a mechanism, at most, whose rotation may act on each other: the terms are the cube of that many.
+_COORDINATES = 3
 # What can be wrong with a condition, which is measured and not commanded: nothing that an actuator does.
 _OF_CONDITIONS = ("scale", "bias", "delay")
 
@@ -88,7 +92,8 @@ def candidates(
 
     In quantities, and in state equations that hold parameters but no such quantity: constant and linear terms,
     squares, products and cubes of states and inputs, linear terms, squares and cubes of declared quantities that stand
-    there and hold no parameters (an angle of slip), x^2 v for rates v, x|x|, |x|, sign(x), square roots of what can be
+    there and hold no parameters (an angle of slip), x^2 v for rates v, x^2 u for inputs u, centrifugal and Coriolis
+    forces where two or three positions and their rates are states, x|x|, |x|, sign(x), square roots of what can be
     stored (a level, a pressure), first-order lags, friction that is larger at rest, hysteresis, a lightly damped mode,
     what is periodic in a position, a periodic disturbance, a limit of the whole where an input stands in it. States
     that go no further than a limit. In outputs: bias, scale, a characteristic that is not straight, drift, delay, lag,
@@ -234,6 +239,8 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
     states = [v for v in variables if v.kind == "state"]
     yield from (term("damping", v, w) for v, w in combinations(states, 2) if w.rate)
     yield from (term("damping, rate first", v, w) for v, w in combinations(states, 2) if v.rate)
+    yield from (term("effectiveness", v, w) for v in states for w in variables if w.kind == "input")
+    yield from (term(form, *factors) for form, factors in _of_rotation(structure, place))
     for form in ("cube", "quadratic", "absolute"):
         yield from (term(form, v) for v in variables)
     yield from (term("root", v) for v in variables if structure.is_store(v))
@@ -251,6 +258,23 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
         coefficients,
         (names(f"{stem}_frequency"),),
     )
+
+
+def _of_rotation(structure: ModelStructure, place: Place) -> Iterator[tuple[str, tuple[Variable, ...]]]:
+    """Yield the forms and factors of forces by the rotation of others: an equation of motion of one coordinate holds
+    positions times products of rates, not both its own (Lagrange's equations with a mass matrix that depends on the
+    position)."""
+    coordinates = structure.coordinates
+    own = next((v for _, v in coordinates if structure.force_on(v.symbol) == place), None)
+    if own is None or not 2 <= len(coordinates) <= _COORDINATES:
+        return
+    for x, _ in coordinates:
+        form = "rotation, angle" if structure.turns_freely(x.symbol) else "rotation"
+        for v, w in combinations_with_replacement([v for _, v in coordinates], 2):
+            if v is not w:
+                yield f"{form}, two rates", (x, v, w)
+            elif v is not own:
+                yield form, (x, v)
 
 
 def _lagged(

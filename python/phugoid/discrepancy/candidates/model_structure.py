@@ -104,10 +104,15 @@ class ModelStructure:
         moves = variable.rate or unit.endswith("/s") or variable.symbol in self._exact
         return variable.kind == "state" and not moves and unit not in ANGLES
 
+    @property
+    def coordinates(self) -> list[tuple[Variable, Variable]]:
+        """The positions, each with the state that it is the integral of, and of nothing else."""
+        states = [v for v in self.variables if v.kind == "state"]
+        return [(x, v) for x in states for v in states if self.dynamics[x.symbol] == Expr.symbol(v.symbol)]
+
     def is_position(self, variable: Variable) -> bool:
         """Tell whether a variable is the integral of a speed that is a state, and nothing else."""
-        e = self.dynamics.get(variable.symbol) if variable.kind == "state" else None
-        return e is not None and any(e == Expr.symbol(v.symbol) for v in self.variables if v.kind == "state")
+        return any(x.symbol == variable.symbol for x, _ in self.coordinates)
 
     def is_angle(self, variable: Variable) -> bool:
         """Tell whether a variable is a state that is an angle, such as one of the flow, which turns a vane."""

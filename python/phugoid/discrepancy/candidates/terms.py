@@ -72,6 +72,41 @@ FORMS: Mapping[str, Form] = {
         "{0}_{1}2",
         "contains a damping by {0} proportional to the square of {1}",
     ),
+    "effectiveness": Form(
+        lambda x, _, u, __: x**2 * u,
+        "{0}^2*{1}",
+        "{0}2_{1}",
+        "contains an effect of {1} that changes with the square of {0}",
+    ),
+    # Distances and angles from where forces of rotation vanish, not from a trim.
+    "rotation": Form(
+        lambda x, _, w, __: x * w**2,
+        "{0}*{1}^2",
+        "{0}_{1}2",
+        "contains a term proportional to {0} times the square of {1} (centrifugal force)",
+        centred=False,
+    ),
+    "rotation, angle": Form(
+        lambda x, _, w, __: sin(x) * w**2,
+        "sin({0})*{1}^2",
+        "sin_{0}_{1}2",
+        "contains a term proportional to sin({0}) times the square of {1} (centrifugal force)",
+        centred=False,
+    ),
+    "rotation, two rates": Form(
+        lambda x, _, v, __, w, ___: x * v * w,
+        "{0}*{1}*{2}",
+        "{0}_{1}_{2}",
+        "contains a term proportional to {0}, {1} and {2} (Coriolis force)",
+        centred=False,
+    ),
+    "rotation, angle, two rates": Form(
+        lambda x, _, v, __, w, ___: sin(x) * v * w,
+        "sin({0})*{1}*{2}",
+        "sin_{0}_{1}_{2}",
+        "contains a term proportional to sin({0}), {1} and {2} (Coriolis force)",
+        centred=False,
+    ),
     # Its slope has no jump, so nothing needs rounding.
     "quadratic": Form(
         lambda x, _: x * abs(x),

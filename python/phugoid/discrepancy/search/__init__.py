@@ -117,39 +117,56 @@ class Search:
 
     def run(self) -> SearchResult:
         """Screen, refit and confirm, one term after the other."""
-        current, unexplained = self.cache.base, None
-        remarks: tuple[str, ...] = ()
+        at = [self.cache.base]
+        try:
+            result = self._ended(at, self._searched(at))
+            if result.final.names or not result.full.names or not is_structured(self.cache.base, self.settings.error):
+                return result
+            # What fits there stands in for something else, which to first order need not show: the fit may be far off
+            # in its parameters.
+            others = [self.cache.base]
+            first, _ = self.confirmation.accepted(others[0], self.refitting.tries(others[0], simple=True))
+            if first is None or first.names == result.full.names[: len(first.names)]:
+                return result
+            others.append(first)
+            other = self._ended(others, self._searched(others))
+            return other if other.final.names else result
+        except KeyboardInterrupt:
+            return self._interrupted(at[-1])
+
+    def _searched(self, steps: list[Refit]) -> Found | None:
+        """Append refits with one term more each, as long as one is accepted; return what remains unexplained."""
+        unexplained = None
         seen: set[tuple[str, ...]] = set()
         minor = 0
-        try:
-            while len(current.candidates) < self.settings.most:
-                following, unexplained = self.confirmation.accepted(current, self.refitting.tries(current))
-                if following is None and not current.candidates and is_structured(current, self.settings.error):
-                    # What a candidate does to first order says little of what a fit with it does.
-                    following, _ = self.confirmation.accepted(current, self.refitting.tries(current, simple=True))
-                if following is None and is_structured(current, self.settings.doubt):
-                    further, _ = self.confirmation.accepted(current, self.refitting.tries(current, times=2))
-                    # A cause is sought so far, and no trifle.
-                    following = further if further is not None and not self._is_minor(current, further) else None
-                if following is None or following.names in seen:
-                    break
-                seen.add(following.names)
-                minor = minor + 1 if self._is_minor(current, following) else 0
-                current = following
-                if minor == self.settings.minor:  # what comes next would be less
-                    break
-            current = self._pruned(current)
-            if not is_structured(current, self.settings.structure):
-                unexplained = None  # what is left passes for noise
-            unexplained = unexplained or self.confirmation.ringing(current)
-            left = self.cache.ringing(current)
-            if left and not (unexplained and unexplained.ringing):
-                remarks = (_rest_rings(left.frequencies),)
-            return self.concluded(current, unexplained, remarks)
-        except KeyboardInterrupt:
-            return self._interrupted(current, remarks)
+        while len((current := steps[-1]).candidates) < self.settings.most:
+            following, unexplained = self.confirmation.accepted(current, self.refitting.tries(current))
+            if following is None and not current.candidates and is_structured(current, self.settings.error):
+                # What a candidate does to first order says little of what a fit with it does.
+                following, _ = self.confirmation.accepted(current, self.refitting.tries(current, simple=True))
+            if following is None and is_structured(current, self.settings.doubt):
+                further, _ = self.confirmation.accepted(current, self.refitting.tries(current, times=2))
+                # A cause is sought so far, and no trifle.
+                following = further if further is not None and not self._is_minor(current, further) else None
+            if following is None or following.names in seen:
+                break
+            seen.add(following.names)
+            minor = minor + 1 if self._is_minor(current, following) else 0
+            steps.append(following)
+            if minor == self.settings.minor:  # what comes next would be less
+                break
+        return unexplained
 
-    def _interrupted(self, current: Refit, remarks: tuple[str, ...]) -> SearchResult:
+    def _ended(self, steps: list[Refit], unexplained: Found | None) -> SearchResult:
+        """Return the result of a search of some steps."""
+        current = self._pruned(steps[-1])
+        if not is_structured(current, self.settings.structure):
+            unexplained = None  # what is left passes for noise
+        unexplained = unexplained or self.confirmation.ringing(current)
+        left = self.cache.ringing(current) if not (unexplained and unexplained.ringing) else None
+        return self.concluded(current, unexplained, (_rest_rings(left.frequencies),) if left else ())
+
+    def _interrupted(self, current: Refit) -> SearchResult:
         """Return what had been accepted, by the evidence of that time: beside what came later it may be other."""
         nan = float("nan")
         found = []
@@ -162,7 +179,7 @@ class Search:
                 found.append(Found(c, e.gain / 2, needed, {}, e.held_out, explained=e.explained))
         weak = {f.candidate.name for f in found if f.candidate and self.assessment.is_minor(f.explained)}
         final = self.cache.known([c for c in current.candidates if c.name not in weak])
-        return SearchResult(final or current, current, tuple(found), remarks, True)
+        return SearchResult(final or current, current, tuple(found), interrupted=True)
 
     def chances(self, at: Refit) -> float:
         """Return the log-likelihood that a refit's terms must gain, as many as were tried."""

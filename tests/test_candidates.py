@@ -94,6 +94,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         "square": 25,
         "product": 45,
         "damping": 9,
+        "effectiveness": 18,
         "cube": 18,
         "quadratic": 18,
         "absolute": 18,

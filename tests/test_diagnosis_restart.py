@@ -12,7 +12,7 @@ import pytest
 from hidden import Case, make
 
 import phugoid as ph
-from phugoid.discrepancy.search import segments
+from phugoid.discrepancy.search import restart
 
 
 @functools.cache
@@ -60,8 +60,8 @@ def test_a_fit_that_cannot_be_brought_to_an_optimum(monkeypatch: pytest.MonkeyPa
         raise ph.DataError("no start")
 
     fit = dataclasses.replace(ph.estimate(servo().model, servo().data), status="infeasible", message="")
-    monkeypatch.setattr(segments, "estimate", fails)
-    monkeypatch.setattr(segments, "fitted_to_segments", lambda base: (None, 0))
+    monkeypatch.setattr(restart, "estimate", fails)
+    monkeypatch.setattr(restart, "fitted_to_segments", lambda base: (None, 0))
     d = ph.diagnose(fit, validation=servo().validation)
     (finding,) = d.findings
     assert (d.verdict, d.found, finding.status) == ("unexplained", False, "unexplained")

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..data.experiment import Experiment, as_experiments
-from ..errors import DataError, ModelError, OptionError, did_you_mean, some
+from ..errors import DataError, EvaluationError, ModelError, OptionError, did_you_mean, some
 from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult
 from ..sensitivities.tangents import collocated
@@ -51,8 +51,9 @@ from .search.record_change import RecordChange
 from .search.recorded_input import RecordedInput, SampledInputs
 from .search.refit import Refit, is_structured
 from .search.remainder import Remainder, RemainderSettings
+from .search.restart import Restart, restarted, with_optimum
 from .search.scan import NEARLY, Scan
-from .search.segments import Restart, restarted, segments_of, thinned
+from .search.segments import segments_of, thinned
 from .search.sensor_fault import SensorFault, sensor_faults, without_faults
 from .search.stand_ins import without_stand_ins
 
@@ -144,6 +145,13 @@ def freed(fit: FitResult, others: Sequence[Experiment], given: Any) -> tuple[str
             hint = f" Say '{base}', for all experiments." if base in names else did_you_mean(name, names)
             raise ModelError(f"diagnose: biases: '{name}' is no parameter of the model.{hint}")
     return found
+
+
+def _with_optimum(fit: FitResult, candidates: Any) -> list[Refit]:
+    try:
+        return with_optimum(fit, candidates_given(fit, candidates, Refit((), fit)))
+    except EvaluationError:  # not to be linearised where it was left
+        return []
 
 
 def candidates_given(fit: FitResult, given: Any, base: Refit) -> list[Candidate]:
@@ -249,11 +257,11 @@ def diagnose(
 
     A fit that ended at no optimum is estimated again: continued, with parameters fixed that the data do not determine,
     or begun from short segments of the records, and a note says so. Where none of these converges the misfit is
-    unexplained, and the finding says what the status of the fit means. Where an output is the size of what the model
-    has for it, without its sign, the model with that is estimated and diagnosed; samples that a sensor which is stuck
-    or slowly renewed repeats are left out, and jumps of an angle by a turn are taken away. Where the model cannot be
-    fitted to the validation records, blocks of the records are left out in turn as without them. Long records are
-    searched in windows, and a note says so.
+    unexplained, and the finding says what the status of the fit means, and with which terms there is an optimum. Where
+    an output is the size of what the model has for it, without its sign, the model with that is estimated and
+    diagnosed; samples that a sensor which is stuck or slowly renewed repeats are left out, and jumps of an angle by a
+    turn are taken away. Where the model cannot be fitted to the validation records, blocks of the records are left out
+    in turn as without them. Long records are searched in windows, and a note says so.
 
     Raises DataError for a fit that is exact or of too short a record, and for a validation record without the channels;
     OptionError and ModelError for candidates and biases that cannot be.
@@ -275,7 +283,9 @@ def diagnose(
         restart = _within(deadline, partial(restarted, begun, others), Restart(None, not_again))
     if restart is not None:
         if restart.fit is None:
-            return no_optimum(fit, restart.words, time.perf_counter() - started)
+            none: list[Refit] = []
+            likelier = _within(deadline, partial(_with_optimum, begun, candidates), none)
+            return no_optimum(fit, restart.words, likelier, time.perf_counter() - started)
         fit = begun = restart.fit
     base = Refit((), begun)
     check_size(base)

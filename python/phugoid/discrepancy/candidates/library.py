@@ -239,7 +239,8 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
     states = [v for v in variables if v.kind == "state"]
     yield from (term("damping", v, w) for v, w in combinations(states, 2) if w.rate)
     yield from (term("damping, rate first", v, w) for v, w in combinations(states, 2) if v.rate)
-    yield from (term("effectiveness", v, w) for v in states for w in variables if w.kind == "input")
+    inputs = [v for v in variables if v.kind == "input"]
+    yield from (term("effectiveness", v, w) for v in states if not v.rate for w in inputs)
     yield from (term(form, *factors) for form, factors in _of_rotation(structure, place))
     for form in ("cube", "quadratic", "absolute"):
         yield from (term(form, v) for v in variables)

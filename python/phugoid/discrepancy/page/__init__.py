@@ -236,6 +236,8 @@ def diagnosis_summary(diagnosis: DiagnosisResult) -> str:
     for i, finding in enumerate(diagnosis.findings, start=1):
         head = f"{i}. {alias_set(finding)}"
         parts.append("\n".join([head, *(_filled(line, "   ") for line in finding_lines(finding))]))
+    if any(f.status == "named" for f in diagnosis.findings) and (gained := _gained(diagnosis)):
+        parts.append(_filled(gained, "", "  "))
     if not diagnosis.ranking:
         parts.append("No candidates were tried.")
     elif not diagnosis.findings:
@@ -245,6 +247,24 @@ def diagnosis_summary(diagnosis: DiagnosisResult) -> str:
     if diagnosis.notes:
         parts.append("\n".join(["Notes:", *(_filled(note, "  ", "    ") for note in diagnosis.notes)]))
     return "\n\n".join(parts)
+
+
+def _gained(diagnosis: DiagnosisResult) -> str:
+    """Return the errors of the model as it was and with all that is named, on data held out where there are any; ""
+    where nothing was added."""
+    if not diagnosis.is_extended:
+        return ""
+    gain, units = diagnosis.extend().gain, diagnosis.fit.model.units
+    held_out = bool(gain.held_out_rms_after)
+    before = gain.held_out_rms_before if held_out else gain.rms_before
+    after = gain.held_out_rms_after if held_out else gain.rms_after
+    changes = [
+        f"{name} {number(before[name], 3)} to {number(after[name], 3)} {units.get(name, '')}".rstrip()
+        for name in before
+        if name in after
+    ]
+    where = "on the data held out" if held_out else "in these records"
+    return f"RMS error {where}, before and with all that is named: {', '.join(changes)}."
 
 
 def _nearest(diagnosis: DiagnosisResult) -> str:

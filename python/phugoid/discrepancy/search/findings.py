@@ -106,13 +106,19 @@ def _remark(final: Refit, c: Candidate, parameters: Mapping[str, tuple[float, fl
     return _OTHER_UNITS if c.has_reason({n: value for n, (value, _) in parameters.items()}) else ""
 
 
-def no_optimum(fit: FitResult, words: str, seconds: float) -> DiagnosisResult:
+def no_optimum(fit: FitResult, words: str, likelier: Sequence[Refit], seconds: float) -> DiagnosisResult:
     """Return the diagnosis of a fit that ended at no optimum, and could not be brought to one: a misfit that is
-    unexplained, with what the status means."""
-    finding = Finding(cause="", status="unexplained", explanation=words)
+    unexplained, with what the status means, and ``likelier`` fits with a term more that have an optimum."""
+    told = joined([f"{r.names[0]} ({r.fit.log_likelihood - fit.log_likelihood:+.0f})" for r in likelier], "or")
+    advice = (
+        f"With one term more the estimation has an optimum: {told} in log-likelihood. Add the one that the physics "
+        "suggests, and diagnose that fit."
+    )
+    finding = Finding(cause="", status="unexplained", explanation=words, advice=advice if likelier else "")
     rms = Refit((), fit).rms
     nothing = ExtensionResult(fit.model, fit, (), Gain(0.0, 0.0, 0.0, math.nan, rms, rms))
-    notes = ("No candidate was compared with the records: there is no optimum about which to compare.",)
+    compared = "Only constants and linear terms were" if likelier else "No candidate was"
+    notes = (f"{compared} compared with the records: there is no optimum about which to compare.",)
     return DiagnosisResult(fit, (finding,), (), math.nan, notes, False, seconds, _extension=nothing)
 
 

@@ -137,13 +137,26 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
     if function is not None or first is None or first.kind == "function":
         return function
     # Where data held out speak against the likeliest, those less likely are no better.
-    found = _confirmed(search, full, options[0], options[-1].merit, s)
+    likeliest = _acting(options, s)
+    found = _confirmed(search, full, likeliest, options[-1].merit, s)
     if found is None:
         return None
-    rivals = _rivals(options[0], options, s)
+    rivals = _rivals(likeliest, options, s)
     if found.disturbance.kind == "event":  # whatever kind they were compared as
         rivals = {f"{name.rpartition(':')[0]}:event": gain for name, gain in rivals.items()}
     return replace(found, rivals=rivals)
+
+
+def _acting(options: Sequence[_Option], s: RemainderSettings) -> _Option:
+    """Return the likeliest option; in place of noise of a recorded input a disturbance of an equation that the data do
+    not tell from it: what acts beside the inputs is common, and noise of an input's record shows in the record."""
+    first = options[0]
+    assert first.disturbance is not None
+    if first.disturbance.kind != "noise" or first.disturbance.place.kind != "input":
+        return first
+    alike = _rivals(first, options, s)
+    others = [o for o in options if o.disturbance is not None and o.disturbance.name in alike]
+    return next((o for o in others if o.disturbance and o.disturbance.place.kind == "equation"), first)
 
 
 def _rivals(of: _Option, options: Sequence[_Option], s: RemainderSettings) -> dict[str, float]:

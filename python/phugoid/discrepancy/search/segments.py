@@ -19,29 +19,22 @@ the root of the samples in it. Inputs keep their own samples: what is quick in t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
 from ...data.filtering import EVEN, Signal
-from ...errors import PhugoidError
-from ...estimation import estimate
-from ...fit_result import ENDED_WELL, FitResult, dataset
-from ...modelling.model import Model
+from ...fit_result import dataset
 from ...residual_noise import resolution_of
 from ...residual_noise.whitening import Whitening
-from ...solvers import HINTS, check_time
-from ...solvers.newton import Newton
 from .refit import Refit, fitted_to, is_structured, values_of
 
 __all__ = [
-    "Restart",
     "Segments",
     "Thinned",
     "fitted_to_segments",
-    "restarted",
     "segments_of",
     "short_segments",
     "thinned",
@@ -121,95 +114,6 @@ def _cut(e: Experiment, length: int) -> list[Experiment]:
     if len(parts) == 1:
         return [e]
     return [e.window(e.t[p[0]], e.t[p[-1]], name=f"{e.name} from {e.t[p[0]]:.4g} s") for p in parts]
-
-
-# Iterations and seconds of each estimation, beside as many times what the fit itself took.
-_ITERATIONS, _SECONDS, _TIMES = 400, 20.0, 5.0
-
-
-@dataclass(frozen=True, eq=False)
-class Restart:
-    """Says what became of a fit that ended at no optimum.
-
-    fit       at an optimum; None where no estimation ended there.
-    words     what was done, and what the status of the first fit means for the diagnosis.
-    segments  of the records, where only these can be fitted.
-    """
-
-    fit: FitResult | None
-    words: str
-    segments: Segments | None = None
-
-
-def restarted(fit: FitResult, validation: Sequence[Experiment]) -> Restart:
-    """Return a fit of the same model at an optimum: continued; with parameters fixed that the data do not determine;
-    begun again from the measured path, or from what short segments tell; or that to the segments."""
-    status = f"The fit that was given ended as '{fit.status}' ({fit.message or HINTS.get(fit.status, '')})"
-    again = _estimated(fit, fit.model, start=fit) or _estimated(fit, fit.model)
-    if again is not None:
-        return Restart(again, f"{status}; it was estimated again, which converged, and that fit was diagnosed.")
-    if fit.status == "unidentifiable":
-        again, fixed = _with_fixed(fit)
-        if again is not None:
-            which = ", ".join(fixed)
-            return Restart(
-                again, f"{status}; the model was diagnosed with {which} fixed, which the data do not determine."
-            )
-    pieces, length = fitted_to_segments(Refit((), fit))
-    if pieces is not None:
-        near = pieces.fit
-        again = _estimated(fit, fit.model, start=values_of(near))
-        if again is not None:
-            return Restart(
-                again,
-                f"{status}; begun again with the parameters that short segments of the records determine it converged, "
-                "and that fit was diagnosed.",
-            )
-        segments = Segments.of(pieces, length, validation)
-        return Restart(near, f"{status}. Over short segments, each with its own first states, it converged.", segments)
-    return Restart(
-        None,
-        f"{status}, and neither from the measured path nor over short segments of the records does an estimation "
-        "converge. Residuals away from an optimum may be those of wrong parameters as well as of a wrong model, so "
-        "that no cause can be named. Check units, signs, start values, bounds, and the records for biases and faults",
-    )
-
-
-def _with_fixed(fit: FitResult) -> tuple[FitResult | None, list[str]]:
-    """Return an estimation that ended at an optimum with parameters fixed that the data do not determine, and these: as
-    few as possible, for of a scale that is free one determines all others."""
-    declared, fixed, now = fit.model.declared_parameters, list[str](), fit
-    while now.status == "unidentifiable":
-        left = [n for n, e in now.parameters.items() if not (e.fixed or np.isfinite(e.std_error))]
-        left = [n for n in left if n in declared and n not in fixed and not declared[n].per_experiment]
-        if not left:
-            return None, []
-        fixed.append(left[0])
-        held = {n: replace(declared[n], start=fit.parameters[n].value, fixed=True) for n in fixed}
-        following = _ended(fit, fit.model.with_parameters(held), now)
-        if following is None:
-            return None, []
-        now = following
-    return (now, fixed) if now.status in ENDED_WELL else (None, [])
-
-
-def _estimated(fit: FitResult, model: Model, start: FitResult | dict[str, float] | None = None) -> FitResult | None:
-    """Return an estimation from the same records that ended at an optimum; None else."""
-    found = _ended(fit, model, start)
-    return found if found is not None and found.status in ENDED_WELL else None
-
-
-def _ended(fit: FitResult, model: Model, start: FitResult | dict[str, float] | None) -> FitResult | None:
-    """Return an estimation from the same records, however it ended; None where it cannot be made."""
-    check_time()
-    solver = Newton(max_iterations=_ITERATIONS, time_limit=max(_SECONDS, _TIMES * fit.time))
-    try:
-        found = estimate(model, dataset(fit), noise=fit.noise, start=start, solver=solver)
-    except (PhugoidError, np.linalg.LinAlgError):
-        return None
-    if found.status == "interrupted":
-        raise KeyboardInterrupt
-    return found
 
 
 _Array = NDArray[np.float64]

@@ -1,0 +1,151 @@
+"""Forces that one coordinate of a mechanism has from the motion of another, and an input whose effect depends on the
+position: what a diagnosis names."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rigs import integrated, named
+
+import phugoid as ph
+
+_Array = np.ndarray
+
+
+def _smooth(rng: np.random.Generator, t: _Array, size: float, frequencies: tuple[float, ...]) -> _Array:
+    """Return a sum of sines (N,) of random phases."""
+    phases = rng.uniform(0.0, 2.0 * np.pi, len(frequencies))
+    return size * sum(np.sin(2.0 * np.pi * f * t + p) for f, p in zip(frequencies, phases, strict=True))
+
+
+def _slide(seed: int, name: str) -> ph.Experiment:
+    """A mass on a spring that slides along a turning arm."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 16.0, 0.02)
+    force, torque = _smooth(rng, t, 0.5, (0.17, 0.31, 0.6)), _smooth(rng, t, 0.8, (0.11, 0.23, 0.4))
+
+    def f(x: _Array, u: _Array) -> _Array:
+        r, v, _, w = x
+        return np.array([v, -9.0 * (r - 0.5) - 0.9 * v + r * w**2 + u[0], w, -0.6 * w + u[1]])
+
+    x = integrated(f, np.array([0.5, 0.0, 0.0, 0.0]), t, np.stack([force, torque], axis=1))
+    outputs = {
+        "r": x[:, 0] + 0.002 * rng.standard_normal(t.size),
+        "th": x[:, 2] + 0.004 * rng.standard_normal(t.size),
+    }
+    return ph.Experiment(t, {"F": force, "M": torque}, outputs, name=name, interpolation="hold")
+
+
+def test_a_centrifugal_force_is_named() -> None:
+    m = ph.Model("slide")
+    r, v, th, w = m.states(r=ph.State("m", start=0.5), v="m/s", th="rad", w="rad/s")
+    force, torque = m.inputs(F="N", M="N*m")
+    k, c, d = m.parameters(k=8.0, c=1.0, d=0.5)
+    m.dynamics(r=v, v=-k * (r - 0.5) - c * v + force, th=w, w=-d * w + torque)
+    m.outputs(r=r, th=th)
+    d = ph.diagnose(ph.estimate(m, _slide(1, "a")), validation=_slide(2, "b"))
+    (found,) = named(d)
+    assert found.cause == "v':r*w^2"
+    assert found.coefficient == pytest.approx(1.0, abs=4.0 * found.std_error)
+    assert found.std_error < 0.05
+    assert "centrifugal" in found.explanation
+
+
+def _crane(seed: int, name: str) -> ph.Experiment:
+    """A trolley that a swinging load pulls."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 20.0, 0.02)
+    u = _smooth(rng, t, 0.8, (0.13, 0.29, 0.41))
+
+    def f(x: _Array, u: float) -> _Array:
+        _, v, th, w = x
+        a = 2.0 * u - 1.2 * v + 0.5 * np.sin(th) * w**2
+        return np.array([v, a, w, -9.81 / 1.2 * np.sin(th) - 0.1 * w - a / 1.2 * np.cos(th)])
+
+    x = integrated(f, np.zeros(4), t, u)
+    outputs = {
+        "x": x[:, 0] + 0.001 * rng.standard_normal(t.size),
+        "th": x[:, 2] + 0.002 * rng.standard_normal(t.size),
+    }
+    return ph.Experiment(t, {"u": u}, outputs, name=name, interpolation="hold")
+
+
+def test_the_pull_of_a_swinging_load_is_named() -> None:
+    m = ph.Model("crane")
+    x, v, th, w = m.states(x="m", v="m/s", th="rad", w="rad/s")
+    (u,) = m.inputs("u")
+    b, c, g, d = m.parameters(b=1.5, c=1.0, g=8.0, d=0.2)
+    (a,) = m.quantities(a=b * u - c * v)
+    m.dynamics(x=v, v=a, th=w, w=-g * ph.sin(th) - d * w - a * ph.cos(th) / 1.2)
+    m.outputs(x=x, th=th)
+    found = named(ph.diagnose(ph.estimate(m, _crane(1, "a")), validation=_crane(2, "b")))
+    assert found
+    first = found[0]
+    assert "a:sin(th)*w^2" in (first.cause, *first.aliases)
+    if first.cause == "a:sin(th)*w^2":
+        assert first.coefficient == pytest.approx(0.5, abs=4.0 * first.std_error)
+
+
+def _magnet(seed: int, name: str) -> ph.Experiment:
+    """A voice coil whose force is less away from the middle."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 3.0, 0.004)
+    i = _smooth(rng, t, 1.1, (0.7, 2.3, 5.1))
+    x = integrated(
+        lambda x, i: np.array([x[1], -900.0 * x[0] - 14.0 * x[1] + 700.0 * (1.0 - 0.08 * x[0] ** 2) * i]),
+        np.zeros(2),
+        t,
+        i,
+    )
+    return ph.Experiment(
+        t, {"i": i}, {"x": x[:, 0] + 0.005 * rng.standard_normal(t.size)}, name=name, interpolation="hold"
+    )
+
+
+def test_a_force_that_falls_with_the_position_is_named() -> None:
+    m = ph.Model("coil")
+    x, v = m.states(x="mm", v="mm/s")
+    (i,) = m.inputs(i="A")
+    k, c, b = m.parameters(k=800.0, c=10.0, b=600.0)
+    m.dynamics(x=v, v=-k * x - c * v + b * i)
+    m.outputs(x=x)
+    (found,) = named(ph.diagnose(ph.estimate(m, _magnet(1, "a")), validation=_magnet(2, "b")))
+    assert found.cause == "v':x^2*i"
+    assert found.coefficient == pytest.approx(-56.0, abs=4.0 * found.std_error)
+
+
+def _buoyant(seed: int, name: str) -> ph.Experiment:
+    """An underwater vehicle whose weight hangs below its centre of buoyancy."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 150.0, 0.5)
+    u = 0.25 * np.sign(_smooth(rng, t, 1.0, (0.013, 0.031)))
+
+    def f(x: _Array, u: float) -> _Array:
+        q, th, w = x
+        return np.array(
+            [-0.3 * q + 0.12 * w - 0.04 * np.sin(th) + 0.1 * u, q, -0.45 * w + 0.6 * q - 0.1 * u],
+        )
+
+    x = integrated(f, np.zeros(3), t, u)
+    outputs = {
+        "q": x[:, 0] + 0.002 * rng.standard_normal(t.size),
+        "th": x[:, 1] + 0.005 * rng.standard_normal(t.size),
+        "w": x[:, 2] + 0.02 * rng.standard_normal(t.size),
+    }
+    return ph.Experiment(t, {"u": u}, outputs, name=name, interpolation="hold")
+
+
+def test_a_term_is_told_without_which_the_estimation_has_no_optimum() -> None:
+    """Without the righting moment the damping and the effect of w grow without end, one against the other."""
+    m = ph.Model("vehicle")
+    q, th, w = m.states(q="rad/s", th="rad", w="m/s")
+    (u,) = m.inputs(u="rad")
+    a, b, e, z, y, d = m.parameters(a=-0.2, b=0.05, e=0.05, z=-0.3, y=0.5, d=0.0)
+    m.dynamics(q=a * q + b * w + e * u, th=q, w=z * w + y * q + d * u)
+    m.outputs(q=q, th=th, w=w)
+    fit = ph.estimate(m, _buoyant(1, "a"))
+    assert not fit.converged
+    d = ph.diagnose(fit, validation=_buoyant(2, "b"))
+    (found,) = d.findings
+    assert d.verdict == found.status == "unexplained"
+    assert "With one term more the estimation has an optimum: q':th" in found.advice

@@ -123,6 +123,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         *("Cm:V*alpha", "Cm:V*theta", "Cm:V*q", "Cm:V*de", "Cm:V*T", "Cm:alpha*theta", "Cm:alpha*q", "Cm:alpha*de"),
         *("Cm:alpha*T", "Cm:theta*q", "Cm:theta*de", "Cm:theta*T", "Cm:q*de", "Cm:q*T", "Cm:de*T"),
         *("Cm:V^2*q", "Cm:alpha^2*q", "Cm:theta^2*q"),
+        *("Cm:V^2*de", "Cm:V^2*T", "Cm:alpha^2*de", "Cm:alpha^2*T", "Cm:theta^2*de", "Cm:theta^2*T"),
         *("Cm:V^3", "Cm:alpha^3", "Cm:theta^3", "Cm:q^3", "Cm:de^3", "Cm:T^3"),
         *("Cm:V|V|", "Cm:alpha|alpha|", "Cm:theta|theta|", "Cm:q|q|", "Cm:de|de|", "Cm:T|T|"),
         *("Cm:|V|", "Cm:|alpha|", "Cm:|theta|", "Cm:|q|", "Cm:|de|", "Cm:|T|"),

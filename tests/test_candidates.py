@@ -106,7 +106,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         "drift": 7,
         "rate": 6,
         "curve": 13,  # of q its square is there already
-        "ripple": 3,  # of theta they go when a record is there: it is far from half a turn
+        "ripple": 17,  # of alpha and theta; they go when a record is there: they are far from a quarter of a turn
         "delay": 9,
         "deadband": 2,
         "saturation": 3,  # of Cm and of the inputs
@@ -114,6 +114,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         "rate_limit": 2,
         "clipped": 7,
         "variation": 11,
+        "step": 11,
         "stribeck": 6,
         "hysteresis": 6,
         "mode": 3,
@@ -135,7 +136,8 @@ def test_the_library_of_the_hfb320_model() -> None:
     # Its own bias is there; q' + bias is what it measures, so that q' is its scale.
     assert library.only("aq:*").names == (
         *("aq:scale", "aq:drift", "aq:V", "aq:alpha", "aq:theta", "aq:q", "aq:de", "aq:T", "aq:q^2"),
-        *("aq:aq^2", "aq:aq^3", "aq:lag_T", "aq:clipped", "aq:lag", "aq:delay"),
+        *("aq:aq^2", "aq:aq^3", "aq:lag_T", "aq:periodic_alpha", "aq:periodic_theta", "aq:clipped", "aq:lag"),
+        "aq:delay",
     )
     # The elevator stands beside Cmde and Cm0 only: its scale and bias are theirs.
     inputs = ("de:deadband", "de:saturation", "de:backlash", "de:rate_limit", "de:lag", "de:delay")
@@ -144,7 +146,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         *("T:scale", "T:bias", "T:deadband", "T:saturation", "T:backlash", "T:rate_limit", "T:lag", "T:delay"),
     )
     # Biases of sensors act on no state; what changes of them is the sensor's drift.
-    assert library.only("Cma:*", "theta:drift").names == ("theta:drift", "Cma:drift")
+    assert library.only("Cma:*", "theta:drift").names == ("theta:drift", "Cma:drift", "Cma:step")
     assert "b_q:drift" not in library.names
     # Kinematics and what quantities govern are not doubted.
     assert not any(name.split(":")[0].endswith("'") for name in library.names)
@@ -245,7 +247,7 @@ def test_signals_are_what_extensions_add(path: ph.results.Points, library: ph.re
             continue
         more |= c.paths(p, shape)
         after = right_sides(extended, {**starts, **TRUTH, **size, **shape}, p, more)
-        if c.family == "variation":  # the equations are linear in each parameter
+        if c.family in ("variation", "step"):  # the equations are linear in each parameter
             own = c.place.name
             by_one = right_sides(m, {**TRUTH, own: TRUTH[own] + 1.0}, p, {})
             for name, before in base.items():

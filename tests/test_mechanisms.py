@@ -149,3 +149,83 @@ def test_a_term_is_told_without_which_the_estimation_has_no_optimum() -> None:
     (found,) = d.findings
     assert d.verdict == found.status == "unexplained"
     assert "With one term more the estimation has an optimum: q':th" in found.advice
+
+
+def _fan(seed: int, name: str, lost: float = 0.0) -> ph.Experiment:
+    """A rig that a fan turns, the thrust of which falls at 11 s."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 20.0, 0.05)
+    u = _smooth(rng, t, 0.6, (0.11, 0.27, 0.53))
+    gain = np.where(t > 11.0, 1.0 - lost, 1.0)
+    x = integrated(lambda x, u: np.array([x[1], -7.0 * x[0] - 1.3 * x[1] + 10.0 * u]), np.zeros(2), t, gain * u)
+    return ph.Experiment(
+        t, {"u": u}, {"th": x[:, 0] + 0.008 * rng.standard_normal(t.size)}, name=name, interpolation="hold"
+    )
+
+
+def test_a_parameter_that_jumps_is_named_with_its_time() -> None:
+    m = ph.Model("fan")
+    th, w = m.states(th="rad", w="rad/s")
+    (u,) = m.inputs("u")
+    k, c, b = m.parameters(k=6.0, c=1.0, b=8.0)
+    m.dynamics(th=w, w=-k * th - c * w + b * u)
+    m.outputs(th=th)
+    (found,) = named(ph.diagnose(ph.estimate(m, _fan(1, "a", 0.25)), validation=_fan(2, "b")))
+    assert found.cause == "b:step"
+    assert found.coefficient == pytest.approx(-2.5, abs=0.2)
+    assert found.parameters["time_of_step_b"][0] == pytest.approx(11.0, abs=0.1)
+
+
+def _joint(seed: int, name: str) -> ph.Experiment:
+    """An arm of 0.1 kg m^2, to which its motor and its weight are known."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 12.0, 0.02)
+    i = _smooth(rng, t, 0.9, (0.17, 0.41, 0.9))
+    x = integrated(lambda x, i: np.array([x[1], (0.8 * i - 0.05 * x[1] - 2.0 * np.sin(x[0])) / 0.1]), np.zeros(2), t, i)
+    return ph.Experiment(
+        t, {"i": i}, {"th": x[:, 0] + 0.004 * rng.standard_normal(t.size)}, name=name, interpolation="hold"
+    )
+
+
+def test_a_wrong_inertia_is_named() -> None:
+    m = ph.Model("joint")
+    th, w = m.states(th="rad", w="rad/s")
+    (i,) = m.inputs(i="A")
+    (c,) = m.parameters(c=0.1)
+    m.dynamics(th=w, w=(0.8 * i - c * w - 2.0 * ph.sin(th)) / 0.08)
+    m.outputs(th=th)
+    (found,) = named(ph.diagnose(ph.estimate(m, _joint(1, "a")), validation=_joint(2, "b")))
+    assert found.cause == "w':scale"
+    assert found.coefficient == pytest.approx(-0.2, abs=0.005)
+
+
+def _circles(seed: int, name: str) -> ph.Experiment:
+    """An aircraft that turns, whose speed over ground is taken for that in the air, in a wind of 3 m/s."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 100.0, 0.4)
+    thrust, bank = _smooth(rng, t, 0.4, (0.021, 0.053)), 0.35 + _smooth(rng, t, 0.08, (0.017, 0.04))
+    x = integrated(
+        lambda x, u: np.array([u[0] - 0.1 * (x[0] - 22.0), 9.81 * np.tan(u[1]) / x[0]]),
+        np.array([22.0, 0.0]),
+        t,
+        np.stack([thrust, bank], axis=1),
+    )
+    outputs = {
+        "V": x[:, 0] + 3.0 * np.cos(x[:, 1] - 0.7) + 0.15 * rng.standard_normal(t.size),
+        "psi": x[:, 1] + 0.01 * rng.standard_normal(t.size),
+    }
+    return ph.Experiment(t, {"T": thrust, "phi": bank}, outputs, name=name, interpolation="hold")
+
+
+def test_wind_against_a_heading_is_named() -> None:
+    m = ph.Model("turns")
+    v, psi = m.states(V=ph.State("m/s", start=22.0), psi="rad")
+    thrust, bank = m.inputs(T="m/s²", phi="rad")
+    b, c, v0 = m.parameters(b=0.8, c=0.05, V0=20.0)
+    m.dynamics(V=b * thrust - c * (v - v0), psi=9.81 * ph.tan(bank) / v)
+    m.outputs(V=v, psi=psi)
+    (found,) = named(ph.diagnose(ph.estimate(m, _circles(1, "a")), validation=_circles(2, "b")))
+    assert found.cause == "V:periodic_psi"
+    values = [value for value, _ in found.parameters.values()]
+    assert np.hypot(*values[:2]) == pytest.approx(3.0, abs=0.1)
+    assert values[2] == pytest.approx(1.0, abs=0.01)

@@ -74,6 +74,14 @@ def test_samples_that_a_link_repeats_are_left_out() -> None:
     assert float(np.nanstd(d.fit.records[0].residuals["alpha"])) < 0.0022
 
 
+def test_the_interval_of_a_slow_sensor_need_be_no_multiple() -> None:
+    y = np.random.default_rng(4).standard_normal(400)
+    begins = np.ceil(np.arange(0.0, 400.0, 6.25)).astype(int)
+    held = y[begins[np.searchsorted(begins, np.arange(400), side="right") - 1]]
+    own = np.flatnonzero(np.isfinite(SensorFault("h", "held").mended(held)))
+    assert own.tolist() == begins.tolist()
+
+
 def test_a_slow_sensor_that_is_repeated_keeps_only_its_own_samples() -> None:
     fast = record(9)
     held = fast.output("alpha")[np.arange(700) // 10 * 10]

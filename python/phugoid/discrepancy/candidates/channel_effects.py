@@ -32,6 +32,7 @@ from .scales import (
 __all__ = [
     "ClippedSensor",
     "DeadBand",
+    "EquationScale",
     "InputBias",
     "InputDelay",
     "InputLag",
@@ -133,6 +134,24 @@ class SensorScale(Scale):
         extension = ExtensionBuilder(model, self, start)
         k = extension.parameter(self.coefficients[0])
         extension.put(self.place, (1 + k) * extension.at(self.place))
+        return extension.model()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EquationScale(Scale):
+    """All that stands in a state equation or a quantity becomes 1 + k times as large: by another mass, inertia or gear
+    ratio, where numbers that are taken as known stand there."""
+
+    stage: int = 1  # of terms that were added, too
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        within = points.rates if self.place.kind == "equation" else points.values
+        return of(within, self.place.name, points, self.place.kind)[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        k = extension.parameter(self.coefficients[0])
+        extension.add(self.place, k * extension.at(self.place))
         return extension.model()
 
 

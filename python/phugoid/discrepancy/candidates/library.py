@@ -17,6 +17,7 @@ from .candidate import Effect, unused
 from .channel_effects import (
     ClippedSensor,
     DeadBand,
+    EquationScale,
     InputBias,
     InputDelay,
     InputLag,
@@ -32,7 +33,7 @@ from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
 from .model_structure import ANGLES, TURN, ModelStructure, Variable
 from .scales import Scales, output_key, trim_of
-from .terms import FORMS, LaggedVariable, ParameterDrift, Periodic, Rate, Ripple, Term, where
+from .terms import FORMS, LaggedVariable, ParameterDrift, ParameterStep, Periodic, Rate, Ripple, Term, where
 
 __all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]
 
@@ -55,6 +56,7 @@ FAMILIES = (
     "sign",
     "rate",
     "curve",
+    "factor",
     "lag",
     "delay",
     "deadband",
@@ -63,6 +65,7 @@ FAMILIES = (
     "rate_limit",
     "clipped",
     "variation",
+    "step",
     "stribeck",
     "limit",
     "hysteresis",
@@ -194,9 +197,12 @@ def _library(structure: ModelStructure, scales: Scales, names: _Names) -> Iterat
             yield from (c for c in _on_input(structure, variable, scales, names) if c.family in of)
     yield from _limits(structure, scales, names)
     for name in structure.acting:
-        words = f"{name} changes during the record"
-        coefficient = names(f"drift_{name}")
-        yield ParameterDrift(f"{name}:drift", Place("parameter", name), words, "variation", scales, (coefficient,))
+        words, place = f"{name} changes during the record", Place("parameter", name)
+        yield ParameterDrift(f"{name}:drift", place, words, "variation", scales, (names(f"drift_{name}"),))
+    for name in structure.acting:
+        words, place = f"{name} jumps during the record (a load dropped, a part that failed)", Place("parameter", name)
+        shape = (names(f"time_of_step_{name}"),)
+        yield ParameterStep(f"{name}:step", place, words, "step", scales, (names(f"step_{name}"),), shape)
 
 
 def _term(
@@ -231,8 +237,14 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
         return _term(structure, place, form, factors, scales, names)
 
     yield term("bias")
+    words = f"{where(place)} is larger by a factor (another mass, inertia or gear ratio)"
+    scale = names(f"k_{_stem(place)}")
+    yield EquationScale(f"{structure.shown(place)}:scale", place, words, "factor", scales, (scale,))
     for form in ("linear", "square", "cube", "quadratic"):
         yield from (term(form, v) for v in structure.declared_in(place))
+    if place.kind == "quantity":
+        for form in ("linear", "square", "quadratic"):
+            yield from (term(form, v) for v in structure.declared_beside(place))
     for form in ("linear", "square"):
         yield from (term(form, v) for v in variables)
     yield from (term("product", v, w) for v, w in combinations(variables, 2))
@@ -324,17 +336,7 @@ def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names:
             )
     for v in structure.variables:
         if structure.is_position(v):
-            yield Ripple(
-                f"{shown}:periodic_{v.shown}",
-                place,
-                f"{words} is periodic in {v.shown} (cogging, ripple of a motor or a gear)",
-                "ripple",
-                scales,
-                (names(f"{stem}_sin_{v.shown}"), names(f"{stem}_cos_{v.shown}")),
-                (names(f"wave_number_{stem}_{v.shown}"),),
-                variables=(v.symbol,),
-                turn=TURN.get(structure.model.units.get(v.symbol, ""), 0.0),
-            )
+            yield _ripple(structure, place, v, "cogging, ripple of a motor or a gear", scales, names)
     if any(v.kind == "input" and v.symbol in structure.expression(place).symbols for v in structure.variables):
         yield LimitedForce(
             f"{shown}:saturation",
@@ -353,6 +355,23 @@ def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names:
         scales,
         (names(f"{stem}_mode"),),
         (names(f"frequency_{stem}_mode"), names(f"damping_{stem}_mode")),
+    )
+
+
+def _ripple(
+    structure: ModelStructure, place: Place, variable: Variable, reason: str, scales: Scales, names: _Names
+) -> Ripple:
+    shown, stem = variable.shown, _stem(place)
+    return Ripple(
+        f"{structure.shown(place)}:periodic_{shown}",
+        place,
+        f"{where(place)} is periodic in {shown} ({reason})",
+        "ripple",
+        scales,
+        (names(f"{stem}_sin_{shown}"), names(f"{stem}_cos_{shown}")),
+        (names(f"wave_number_{stem}_{shown}"),),
+        variables=(variable.symbol,),
+        turn=TURN.get(structure.model.units.get(variable.symbol, ""), 0.0),
     )
 
 
@@ -402,6 +421,9 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
     at_once = {*structure.expression(place).symbols}
     inputs = [v for v in structure.variables if v.kind == "input" and v.symbol in at_once]
     yield from (_lagged(structure, place, v, scales, names) for v in inputs)
+    for v in structure.variables:
+        if v.kind == "state" and structure.is_angle(v):
+            yield _ripple(structure, place, v, "an eccentric disc, wind against a heading", scales, names)
     words = f"the measurement of {y} is clipped at a limit"
     yield ClippedSensor(
         f"{shown}:clipped", place, words, "clipped", scales, (), (names(f"limit_{y}"),), variables=(output_key(y),)

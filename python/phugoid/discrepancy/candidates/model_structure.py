@@ -10,13 +10,16 @@ from ..._core import Expr
 from ...modelling.model import Model
 from ...sensitivities import Place
 
-__all__ = ["ANGLES", "ANGULAR_RATES", "TURN", "ModelStructure", "Variable"]
+__all__ = ["ANGLES", "ANGULAR_RATES", "TURN", "ModelStructure", "Variable", "addends"]
 
 TURN = {"rad": 2.0 * math.pi, "deg": 360.0, "°": 360.0}
 """Unit of an angle -> a turn in it."""
 
 ANGLES = tuple(TURN)
 """Units of angles."""
+
+# Quantities beside a place, at most, of which it may be a function.
+_BESIDE = 6
 
 # Functions of angles of attitudes; and those that jump, or are put for a jump.
 _SINES, _JUMPS = ("sin", "cos", "tan"), ("sign", "tanh", "atan")
@@ -96,6 +99,14 @@ class ModelStructure:
         a dynamic pressure, say, that forces are functions of."""
         symbols = {*self.expression(place).symbols}
         return [Variable(n, n, "quantity") for n in self._defined if n in symbols]
+
+    def declared_beside(self, place: Place) -> list[Variable]:
+        """Return the other quantities that are defined exactly from states and inputs: an angle of attack that a
+        coefficient of drag does not have yet."""
+        symbols = {*self.expression(place).symbols, place.name}
+        of = {*self.model.state_names, *self.model.declared_inputs}
+        exact = [n for n in self._defined if n not in symbols and of.issuperset(self.quantities[n].symbols)]
+        return [Variable(n, n, "quantity") for n in exact] if len(exact) <= _BESIDE else []
 
     def is_store(self, variable: Variable) -> bool:
         """Tell whether a variable may be what a store holds, as a level or a pressure: a state that is no angle, no
@@ -202,6 +213,14 @@ class ModelStructure:
         inputs = self.model.declared_inputs
         clash = place.kind == "output" and (place.name in self.quantities or place.name in inputs)
         return f"y:{place.name}" if clash else place.name
+
+
+def addends(e: Expr) -> list[Expr]:
+    """Return the terms of a sum or difference, whatever their signs; an expression that is none is its only one."""
+    operation, arguments = e.operation
+    if operation not in ("add", "sub", "neg"):
+        return [e]
+    return [term for a in arguments for term in addends(a)]
 
 
 def _is_within(e: Expr, name: str, functions: Collection[str]) -> bool:

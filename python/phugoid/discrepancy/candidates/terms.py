@@ -11,13 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._core import Expr
-from ...functions import Table, cos, sin, smooth_abs, smooth_sign, sqrt
+from ...functions import Table, cos, sin, smooth_abs, smooth_sign, smooth_step, sqrt
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
 from .candidate import Effect, ExtensionBuilder, largest_coefficient, place_range
 from .scales import Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lagged, longest_lag, of
 
-__all__ = ["FORMS", "LaggedVariable", "ParameterDrift", "Periodic", "Rate", "Ripple", "Term", "tabulated", "where"]
+__all__ = [
+    "FORMS",
+    "LaggedVariable",
+    "ParameterDrift",
+    "ParameterStep",
+    "Periodic",
+    "Rate",
+    "Ripple",
+    "Term",
+    "tabulated",
+    "where",
+]
 
 _Array = NDArray[np.float64]
 
@@ -418,3 +429,44 @@ class ParameterDrift(Effect):
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         return {self.coefficients[0]: (-np.inf, np.inf)}
+
+
+# Times at which a parameter may jump, and the width of the jump in samples.
+_TIMES, _WIDE = 24, 2.0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ParameterStep(Effect):
+    """The parameter p becomes p + d from a time on: a load that is dropped, a flap that is set, a part that fails."""
+
+    transferable = False
+
+    @property
+    def several_starts(self) -> bool:
+        return True
+
+    def grid(self) -> Iterable[float]:
+        shares = np.arange(1, _TIMES + 1) / (_TIMES + 1)
+        return np.asarray(self.scales.begin + self.scales.duration * shares)
+
+    @property
+    def _width(self) -> float:
+        return _WIDE * self.scales.interval
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        late = (points.t - shape[self.shape_names[0]]) / self._width
+        return (0.5 * (1.0 + np.tanh(late)))[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        (name,) = self.shape_names
+        d = extension.parameter(self.coefficients[0], unit=model.units.get(self.place.name, ""))
+        span = self.scales.begin, self.scales.begin + self.scales.duration
+        at = extension.parameter(name, self.shapes[len(self.shapes) // 2][name], bounds=span, unit="s")
+        jump = d * smooth_step(Expr.symbol("time") - at, self._width)
+        extension.replace_parameter(self.place.name, Expr.symbol(self.place.name) + jump)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        times = [shape[self.shape_names[0]] for shape in self.shapes]
+        return {self.coefficients[0]: (-np.inf, np.inf), self.shape_names[0]: (min(times), max(times))}

@@ -41,6 +41,7 @@ class SearchSettings:
     error: float = 0.5
     doubt: float = 0.3
     structure: float = 0.05
+    half: float = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +121,7 @@ class Search:
         at = [self.cache.base]
         try:
             result = self._ended(at, self._searched(at))
-            if result.final.names or not result.full.names or not is_structured(self.cache.base, self.settings.error):
+            if not self._stands_in(result):
                 return result
             # What fits there stands in for something else, which to first order need not show: the fit may be far off
             # in its parameters.
@@ -130,9 +131,18 @@ class Search:
                 return result
             others.append(first)
             other = self._ended(others, self._searched(others))
-            return other if other.final.names else result
+            return other if not self._stands_in(other) else result
         except KeyboardInterrupt:
             return self._interrupted(at[-1])
+
+    def _stands_in(self, result: SearchResult) -> bool:
+        """Tell whether terms fit that are not named, and those that are named do less than half of what the model is
+        wrong by."""
+        base, full, final = self.cache.base, result.full, result.final
+        if full.names == final.names or not is_structured(base, self.settings.error):
+            return False
+        part = self.assessment.explained(base, final) if final.names else None
+        return part is None or part.part < self.settings.half
 
     def _searched(self, steps: list[Refit]) -> Found | None:
         """Append refits with one term more each, as long as one is accepted; return what remains unexplained."""
@@ -144,6 +154,10 @@ class Search:
             if following is None and not current.candidates and is_structured(current, self.settings.error):
                 # What a candidate does to first order says little of what a fit with it does.
                 following, _ = self.confirmation.accepted(current, self.refitting.tries(current, simple=True))
+            elif following is not None and not current.candidates and self._is_beyond_reason(following):
+                plain, _ = self.confirmation.accepted(current, self.refitting.tries(current, simple=True))
+                if plain is not None and not self._is_beyond_reason(plain):
+                    following = following if self.assessment.is_worse(current, plain, following) else plain
             if following is None and is_structured(current, self.settings.doubt):
                 further, _ = self.confirmation.accepted(current, self.refitting.tries(current, times=2))
                 # A cause is sought so far, and no trifle.
@@ -156,6 +170,11 @@ class Search:
             if minor == self.settings.minor:  # what comes next would be less
                 break
         return unexplained
+
+    def _is_beyond_reason(self, at: Refit) -> bool:
+        """Tell whether a term has a size that is not physical: about a fit that is far off in its parameters it may
+        undo that."""
+        return any(not is_physical(at, c) for c in at.candidates)
 
     def _ended(self, steps: list[Refit], unexplained: Found | None) -> SearchResult:
         """Return the result of a search of some steps."""

@@ -14,7 +14,7 @@ from .evidence import Assessment, Evidence, is_physical
 from .free_run import Explained
 from .refit import HeldOut, Refit
 from .refit_cache import RefitCache
-from .screen import RICH, Screen, complexity, is_as_good
+from .screen import RICH, Screen, complexity, is_as_good, is_late
 
 __all__ = [
     "Confirmation",
@@ -133,6 +133,7 @@ class ConfirmationSettings:
     vuong: float = 2.0
     richer: float = 6.0
     left: float = 1.1
+    least: float = 0.01
     alias: float = 0.9
 
 
@@ -248,6 +249,7 @@ class Confirmation:
     def _simplest(self, below: Refit, at: Refit, candidate: Candidate) -> Refit:
         """Return a refit with the simplest term in place of a candidate that explains the data as well."""
         others, assess, rank = below.candidates, self._assessment, complexity(candidate)
+        model = self._cache.base.fit.model
         constants = [c for c in self._cache.candidates if c.place == candidate.place and not complexity(c)]
         alike = [*self._screen.alike(below, candidate, at.own.filter), *constants]
         simpler = {c.name: c for c in alike if complexity(c) < rank}
@@ -258,13 +260,14 @@ class Confirmation:
 
         def stands(r: Refit) -> bool:
             (new,) = r.beside(others)
-            if complexity(new) >= rank or not is_physical(r, new):
+            if complexity(new) >= rank or not is_physical(r, new) or is_late(new, model):
                 return False
             own, part = assess.gain(below, r), assess.explained(below, r)
             if part is None or own <= assess.needed(r, new):
                 return False
             # More unknowns leave a little less of any misfit.
-            if rank == RICH and 1.0 - part.part < self.settings.left * (1.0 - explained.part):
+            allowed = max(self.settings.left * (1.0 - explained.part), self.settings.least)
+            if rank == RICH and 1.0 - part.part < allowed:
                 return True
             return is_as_good(at, r, own / gain, (explained.part, part.part)) and not assess.is_worse(below, r, at)
 

@@ -196,7 +196,9 @@ def with_record_changes(search: Search, result: SearchResult) -> tuple[Search, S
         if base is None:
             return search, result, [], False
         free = freed_by_default(cache.base.fit.model) if cache.biases is None else cache.biases
-        again = search.on(base, biases=[*free, *names])
+        # What is left beside them is part of the misfit of the model that was diagnosed.
+        diagnosed = cache.diagnosed or (cache.base, cache.on_validation(cache.base))
+        again = search.on(base, biases=[*free, *names], diagnosed=diagnosed)
         if cache.validation:
             again.cache.try_validation()
         following = again.run()

@@ -9,8 +9,11 @@ from functools import cache
 import numpy as np
 
 from ...residual_noise.whitening import Whitening
+from ...sensitivities import Place
 from ...sensitivities.whitened import Whitened
-from ..candidates.candidate import Candidate, Effect
+from ..candidates.candidate import Candidate, Effect, place_range
+from ..candidates.model_structure import addends
+from ..candidates.scales import evaluated
 from ..candidates.terms import Periodic
 from .free_run import Explained, Misfitting, Simulated
 from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, predicted_blocks, predicted_from_blocks
@@ -20,8 +23,8 @@ from .screen import RICH, complexity
 
 __all__ = ["Assessment", "AssessmentSettings", "Evidence", "chi_square_quantile", "is_physical"]
 
-# Families of candidates that change in proportion to the time.
-_DRIFTS = ("drift", "variation")
+# Families of candidates that tell of the time in a record alone.
+_DRIFTS = ("drift", "variation", "step")
 
 
 @dataclass(frozen=True)
@@ -352,7 +355,22 @@ def is_physical(at: Refit, candidate: Candidate) -> bool:
     """Tell whether all parameters of a candidate lie within what is physical, or have a reason not to."""
     limits = candidate.physical(at.linear.points)
     values = {n: at.own.parameter(n)[0] for n in limits}
+    wider = _cancelling(at, candidate.place)
+    if wider > 1.0:
+        limits = {n: (wider * a, wider * b) if n in candidate.coefficients else (a, b) for n, (a, b) in limits.items()}
     return all(low <= values[n] <= high for n, (low, high) in limits.items()) or candidate.has_reason(values)
+
+
+def _cancelling(at: Refit, place: Place) -> float:
+    """Return how much more a known part of what stands at a place varies than all of it: where known parts nearly
+    cancel each other, as a turn rate and gravity in the sideslip of a turn, others may be as large; 1 at least."""
+    if place.kind not in ("equation", "quantity"):
+        return 1.0
+    model, points = at.fit.model, at.linear.points
+    known = {*model.state_names, *model.declared_inputs}
+    sums = [e for e in addends(model._right_hand_sides()[place.kind, place.name]) if known.issuperset(e.symbols)]
+    spans = [float(np.ptp(np.concatenate([evaluated(e, p) for p in points]))) for e in sums if e.symbols]
+    return max([1.0, *(span / place_range(place, points) for span in spans)])
 
 
 @cache

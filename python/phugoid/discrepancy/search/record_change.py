@@ -27,7 +27,7 @@ from ..candidates.terms import where
 from . import Search, SearchResult
 from .evidence import AssessmentSettings, chi_square_quantile
 from .free_run import Explained, Misfitting, Simulated
-from .refit import BLOCKS, Refit, blocks_of, fitted_to
+from .refit import BLOCKS, Refit, blocks_of, fitted_to, is_structured
 
 __all__ = ["RecordChange", "record_changes"]
 
@@ -45,6 +45,9 @@ _ORDER = ("parameter", "output", "input", "equation")
 # Log-likelihood by which two are not distinguished.
 _ALIKE = 2.0
 _ITERATIONS = 60
+# Part of the residuals' power that is predictable, from which on so many parameters are fitted whatever first order
+# says.
+_ERROR, _MANY = 0.5, 12
 # Of an option's effect on the outputs: below it parameters that are there can do the same.
 _NOTHING = 1e-6
 # Part of blocks left out that they must predict from the others, and the rank of what these tell.
@@ -157,12 +160,12 @@ def record_changes(search: Search, result: SearchResult) -> tuple[Refit | None, 
     current, changes = base, []
     for option, aliases in options:
         more = _with(current, option)
-        # Beside terms that were found much of what is left may be little of the misfit that is diagnosed.
+        # Beside those that were found much of what is left may be little of the misfit that is diagnosed.
         if more is None or _explained(base, _the_same(current, option), more).part < _MINOR:
-            return None, [], []
+            break
         changes.append(_change(search, current, more, option, aliases))
         current = more
-    return current, changes, [o.parameter for o, _ in options]
+    return (current, changes, [o.parameter for o, _ in options[: len(changes)]]) if changes else (None, [], [])
 
 
 def _threshold(unknowns: int, tries: int) -> float:
@@ -176,6 +179,9 @@ def _differing(at: Refit) -> tuple[Refit, list[tuple[_Difference, tuple[str, ...
     while len(chosen) < _MOST:
         options = _options(at)
         ranked = _ranked(at.linear, options)[:_TRIED]
+        if not chosen and is_structured(at, _ERROR):
+            # Where one value for all is far from that of any record, first order says nothing of it.
+            ranked += [o for o in options if o.place.kind == "parameter" and o not in ranked][:_MANY]
         refits = [(r, o) for o in ranked if (r := _with(at, o)) is not None]
         if not refits:
             break

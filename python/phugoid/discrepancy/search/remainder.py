@@ -152,7 +152,7 @@ def _acting(options: Sequence[_Option], s: RemainderSettings) -> _Option:
     not tell from it: what acts beside the inputs is common, and noise of an input's record shows in the record."""
     first = options[0]
     assert first.disturbance is not None
-    if first.disturbance.kind != "noise" or first.disturbance.place.kind != "input":
+    if first.disturbance.kind not in ("noise", "event") or first.disturbance.place.kind != "input":
         return first
     alike = _rivals(first, options, s)
     others = [o for o in options if o.disturbance is not None and o.disturbance.name in alike]

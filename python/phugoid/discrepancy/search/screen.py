@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._core import Expr
 from ...modelling.model import Model
 from ...residual_noise.whitening import Filter, Whitening
 from ..candidates.candidate import Candidate, is_function
@@ -25,13 +26,15 @@ __all__ = [
     "complexity",
     "is_as_good",
     "is_equal",
+    "is_late",
     "plausibility",
 ]
 
 
 # A constant before a linear term before any other, and those with states of their own or two unknowns last.
 RICH = 3
-_ORDER = {"bias": 0, "linear": 1, "scale": 1, "stribeck": RICH, "hysteresis": RICH, "mode": RICH, "ripple": RICH}
+_ORDER = {"bias": 0, "linear": 1, "scale": 1, "factor": 1}
+_ORDER |= dict.fromkeys(("stribeck", "hysteresis", "mode", "ripple"), RICH)
 _OTHER = 2
 # Twice the difference in log-likelihood, of as many samples as coloured residuals are worth, below which two refits are
 # equally good: chance exceeds it once in a hundred times with two parameters that differ.
@@ -55,18 +58,32 @@ def complexity(candidate: Candidate) -> int:
 def plausibility(candidate: Candidate, model: Model) -> tuple[int, int, str]:
     """Return the rank of a candidate among others that say the same, the most plausible first: a lever arm of a sensor,
     which every vane and accelerometer away from the centre of gravity has; then what acts on the motion; the size of
-    an input, which mass and actuators change; a sensor, which was calibrated; and what belongs to one record alone.
+    an input, which mass and actuators change; a sensor, which was calibrated; a whole equation; and what belongs to one
+    record alone.
     Among equals fewer unknowns come first, then the name."""
     place = candidate.place
     rates = [n for n in getattr(candidate, "variables", ()) if model.units.get(n, "") in ANGULAR_RATES]
     family = getattr(candidate, "family", "")
     lever = place.kind == "output" and family in ("linear", "rate") and len(rates) == 1
+    lever = lever and not is_late(candidate, model)
     order = 0 if lever else {"quantity": 1, "equation": 1, "parameter": 1, "input": 2}.get(place.kind, 3)
     if lever and model.units.get(place.name, "") not in ("", *ANGLES) and family == "linear":
         order = 3  # of a rate no lever arm gives a part that goes with a rate
+    if family == "factor":
+        order = 4  # all that stands there would be wrong by the same factor
     if not candidate.transferable:
-        order = 4
+        order = 5
     return order, len(candidate.parameters) + (complexity(candidate) == RICH), candidate.name
+
+
+def is_late(candidate: Candidate, model: Model) -> bool:
+    """Tell whether a linear term in an output is that of the rate of the state that it shows: that is a lag or a delay,
+    to first order, and no cause of its own."""
+    place = candidate.place
+    if place.kind != "output" or getattr(candidate, "family", "") != "linear":
+        return False
+    right, rates = model._right_hand_sides(), [Expr.symbol(n) for n in getattr(candidate, "variables", ())]
+    return any(n in right["output", place.name].symbols for n in model.state_names if right["equation", n] in rates)
 
 
 def is_equal(one: Refit, other: Refit) -> bool:

@@ -28,7 +28,8 @@ _BY_CHANCE, _MANY, _MORE = 1e-4, 8, 10.0
 # Samples that tell noise.
 _FEWEST = 12
 # A sensor of which more than this part of the samples repeats the one before is not stuck. It is renewed at a lower
-# rate where it changes at least so often, and but for this part of the changes at multiples of an interval.
+# rate where it changes at least so often, and but for this part of the changes within a sample of multiples of an
+# interval.
 _REPEATED, _RENEWED, _REGULAR = 0.3, 12, 0.05
 # Mean product of the signs of neighbouring second differences, -2/3 for their correlation in white noise, below which a
 # sensor has noise from sample to sample; and the part of the residuals' mean square that is worth a word.
@@ -111,8 +112,9 @@ def _fault(data: Sequence[Experiment], name: str) -> SensorFault | None:
             return SensorFault(name, "wrapped", tuple(jumps), turn)
     held = [e for e in data if _repeats(e.output(name))]
     if len(held) == len(data):
-        renewed = [np.diff(e.t[_changes(e.output(name))]) for e in held]
-        return SensorFault(name, "held", size=float(np.median(np.concatenate(renewed))))
+        renewed = np.concatenate([np.diff(e.t[_changes(e.output(name))]) for e in held])
+        # Where the new value is the old one, two intervals are one.
+        return SensorFault(name, "held", size=float(np.mean(renewed[renewed < 1.5 * np.median(renewed)])))
     spans = [(e.name, float(e.t[a]), float(e.t[b])) for e in data for a, b in _runs(e.output(name))]
     return SensorFault(name, "stuck", tuple(spans)) if spans else None
 
@@ -148,10 +150,16 @@ def _repeats(y: _Array) -> list[tuple[int, int]]:
         return []
     steps = np.diff(at)
     every = int(np.median(steps))
-    # A longer step is one at which the new value is the old one.
-    if every < 2 or float(np.mean(steps % every != 0)) > _REGULAR or float(np.mean(steps == every)) < 0.5:
+    near = np.abs(steps - every) <= 1
+    if every < 2 or float(np.mean(near)) < 0.5:
         return []
-    begins = np.arange(at[0] % every, y.size, every)
+    # The interval need be no multiple of that between samples. A longer step is one at which the new value is the old
+    # one.
+    number = np.cumsum(np.rint(steps / float(np.mean(steps[near]))))
+    off = at[1:] - np.polyval(np.polyfit(number, at[1:], 1), number)
+    if float(np.mean(np.abs(off) > 1.0)) > _REGULAR:
+        return []
+    begins = np.r_[int(at[0]) - every if at[0] > every + 1 else 0, at]
     ends = np.append(begins[1:] - 1, y.size - 1)
     return [(int(a), int(b)) for a, b in zip(begins, ends, strict=True)]
 

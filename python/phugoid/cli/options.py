@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -21,7 +19,6 @@ from ..filter_error import FilterError
 from ..goodness_of_fit import Tolerance
 from ..modelling.model import Model
 from ..result import Fit
-from ..solvers import Iteration, Progress
 from ..solvers.ipopt import Ipopt
 from ..solvers.newton import Newton
 from ..transcription import Collocation, Transcription
@@ -224,38 +221,6 @@ class Reading:
             raise DataError(text) from error
 
 
-@contextmanager
-def progress_bar(title: str, limit: int) -> Iterator[Callable[[Iteration], None]]:
-    """Yield a function to call with each iteration: a bar on a terminal, else one line for every tenth iteration.
-
-    The bar ends at ``limit`` iterations; most runs converge long before.
-    """
-    if not sys.stderr.isatty():
-        with Progress.of(True, title) as watch:
-            assert watch is not None
-            yield watch
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bars
-
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(20),
-        TextColumn("iteration {task.completed}/{task.total}"),
-        TextColumn("{task.fields[now]}"),
-        TimeElapsedColumn(),
-    )
-    with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
-        task = bars.add_task(title, total=limit, now="")
-
-        def show(line: Iteration) -> None:
-            bars.update(task, completed=line.number, now=f"logL {line.log_likelihood:.4f}")
-
-        yield show
-
-
 _SOLVERS: Mapping[str, type[Newton] | type[Ipopt]] = {"newton": Newton, "ipopt": Ipopt}
 
 
@@ -309,16 +274,15 @@ class Estimation:
         mesh: Transcription | FilterError = Collocation(order=4 if self.order is None else self.order)
         if before is not None and self.order is None:
             mesh = before.transcription
-        with progress_bar(model.name, solver.max_iterations) as watch:
-            return estimate(
-                model,
-                data,
-                transcription=mesh,
-                noise=None if before is None else before.noise,
-                start=begin,
-                solver=None if isinstance(mesh, FilterError) else solver,  # the filter-error method has its own
-                progress=watch,
-            )
+        return estimate(
+            model,
+            data,
+            transcription=mesh,
+            noise=None if before is None else before.noise,
+            start=begin,
+            solver=None if isinstance(mesh, FilterError) else solver,  # the filter-error method has its own
+            progress=True,
+        )
 
 
 def _with_fixed(model: Model, fixed: Mapping[str, float | None]) -> Model:

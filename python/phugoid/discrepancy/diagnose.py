@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
@@ -15,6 +15,7 @@ from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, ModelError, OptionError, did_you_mean, some
 from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult
+from ..progress import StatusLine
 from ..sensitivities.tangents import collocated
 from ..solvers import Deadline, check_time, interrupts, limited, one_blas_thread
 from ..validation import shared
@@ -448,19 +449,17 @@ def _shown(progress: Any) -> Any:
         return nullcontext(progress)
     if not progress:
         return nullcontext(lambda _: None)
-    return _Status()
+    return _steps_shown()
 
 
-class _Status:
-    def __enter__(self) -> Callable[[str], None]:
-        from rich.console import Console  # not at import: it takes its time
-
-        self._status = Console(stderr=True).status("diagnose")
-        self._status.__enter__()
-        return lambda text: self._status.update(text)
-
-    def __exit__(self, *error: Any) -> None:
-        self._status.__exit__(*error)
+@contextmanager
+def _steps_shown() -> Iterator[Callable[[str], None]]:
+    """Yield a function to call with each step of a diagnosis: it shows the step, and the time since the first."""
+    line, began = StatusLine(), time.monotonic()
+    try:
+        yield lambda text: line.show(f"diagnose, {time.monotonic() - began:.0f} s: {text}")
+    finally:
+        line.keep()
 
 
 def _notes(

@@ -19,6 +19,7 @@ from ...figures import (
     RESIDUAL,
     SPAN,
     WIDTH,
+    Panels,
     labelled,
     plain,
     squared,
@@ -177,7 +178,7 @@ def _figure(misfit: Misfit, channels: Sequence[str] | None) -> tuple[Figure, dic
             _draw_autocorrelation(panels[f"{name} autocorrelation"], channel)
             _draw_spectrum(panels[f"{name} spectrum"], channel)
             _draw_regime(panels[f"{name} regime"], channel)
-    return figure, panels
+    return figure, Panels(panels)
 
 
 def _key(part: Any, misfit: Misfit, names: Sequence[str]) -> None:

@@ -103,7 +103,7 @@ def test_of_coloured_noise_only_the_colour_is_claimed(pole: float) -> None:
 def test_nothing_found_is_said_so() -> None:
     c = channel(white())
     assert not c.structured
-    assert c.summary() == "az: residual 1 m/s², as much as its noise; no structure found"
+    assert c.summary() == "az: residual 1 m/s², equal to its noise; no structure found"
 
 
 def test_a_burst_is_found_at_its_time() -> None:
@@ -287,7 +287,7 @@ def test_short_records_say_that_they_are_short(n: int) -> None:
     c = channel(white(0, n))
     assert math.isnan(c.noise) and not c.structured
     assert c.summary().endswith("too few samples to say more")
-    assert c.notes == (f"az has {n} samples: too few to tell noise from misfit (30 are needed)",)
+    assert c.notes == (f"az has {n} samples: too few to distinguish noise from misfit (30 are needed)",)
 
 
 def test_middling_records_go_without_regimes() -> None:

@@ -34,10 +34,12 @@ _Array = NDArray[np.float64]
 
 
 def example(
-    name: Annotated[str | None, typer.Argument(help="Which to write; none: lists them.", metavar="NAME")] = None,
-    folder: Annotated[Path, typer.Option("--out", help="Folder to write into; it is made.")] = Path(),
-    every: Annotated[bool, typer.Option("--list", help="Lists the examples, as without NAME.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Writes over files that are there.")] = False,
+    name: Annotated[
+        str | None, typer.Argument(help="Example to write; without it they are listed.", metavar="NAME")
+    ] = None,
+    folder: Annotated[Path, typer.Option("--out", help="Folder to write into; created if necessary.")] = Path(),
+    every: Annotated[bool, typer.Option("--list", help="List the examples.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     json: JsonOption = False,
 ) -> None:
     """Write an example, a model file and two simulated records, and say which commands to run on it."""

@@ -53,7 +53,7 @@ def fit(
     how: Estimation,
     reading: Reading,
     save: Annotated[
-        Path | None, typer.Option("--save", help="Writes the fit, for phugoid.load: .json, or .h5 (HDF5).")
+        Path | None, typer.Option("--save", help="Save the fit, to be read by phugoid.load (.json, .h5).")
     ] = None,
     plot: PlotOption = None,
     report: ReportOption = None,
@@ -176,20 +176,20 @@ def diagnose(
     data: Annotated[
         list[Path] | None, typer.Argument(help="Data files; none where MODEL is a saved fit.", metavar="DATA...")
     ] = None,
-    fit: Annotated[Path | None, typer.Option("--fit", help="A saved fit of the model to start from.")] = None,
+    fit: Annotated[Path | None, typer.Option("--fit", help="Saved fit from which the estimation starts.")] = None,
     validation: Annotated[
-        list[Path] | None, typer.Option("--validation", help="Another record, to measure the gain on.")
+        list[Path] | None, typer.Option("--validation", help="Record held out, on which the gain is computed.")
     ] = None,
     *,
     how: Estimation,
     reading: Reading,
     save: Annotated[
-        Path | None, typer.Option("--save", help="Writes the diagnosis, for phugoid.load: .json, or .h5 (HDF5).")
+        Path | None, typer.Option("--save", help="Save the diagnosis, to be read by phugoid.load (.json, .h5).")
     ] = None,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> int:
-    """Name what a model misses: shows the misfit, its cause among some 250 candidates, and the gain.
+    """Name the cause of a model's misfit, among some 250 candidates, and the gain of the extended model.
 
     Exit code 1: the fit has not converged, or the residuals have structure and no cause is named.
     """

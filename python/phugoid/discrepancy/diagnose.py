@@ -103,7 +103,7 @@ def check_size(base: Refit) -> None:
     for name, count in zip(linear.model.output_names, linear.counts, strict=True):
         if count < _FEWEST:
             raise DataError(
-                f"diagnose: output '{name}' has {count} samples, too few to tell noise from misfit ({_FEWEST})"
+                f"diagnose: output '{name}' has {count} samples, too few to distinguish noise from misfit ({_FEWEST})"
             )
     unknowns = linear.n_unknowns
     if linear.n_rows < _EACH * unknowns:
@@ -170,13 +170,13 @@ def candidates_given(fit: FitResult, given: Any, base: Refit) -> list[Candidate]
     names = [c.name for c in listed]
     twice = [n for n in dict.fromkeys(names) if names.count(n) > 1]
     if twice:
-        raise OptionError(f"diagnose: candidate '{twice[0]}' is there twice")
+        raise OptionError(f"diagnose: candidate '{twice[0]}' is given twice")
     return listed
 
 
 _OF_THESE_RECORDS = (
-    "Of the records of the fit alone: {}. With that as it was fitted, the simulation of the validation records gets no "
-    "better, and the extended model is without."
+    "Only in the records of the fit: {}. With it, the simulation of the validation records does not improve; the "
+    "extended model does not contain it."
 )
 
 
@@ -472,17 +472,21 @@ def _notes(
     most: int,
 ) -> tuple[str, ...]:
     if scan is None:
-        return (f"{_EARLY[ended]} before the {len(listed)} candidates were scanned: only the misfit is told.",)
-    notes = [f"{len(listed)} candidates, {len(scan.effects)} with their shapes, were scanned."]
+        return (f"{_EARLY[ended]} before the {len(listed)} candidates were scanned: only the misfit is reported.",)
+    notes = [f"{len(listed)} candidates were scanned, with {len(scan.effects)} values of their shape parameters."]
     if scan.lost:
         notes.append(f"Indistinguishable from parameters of the model: {some(scan.lost, _LOST_NAMED)}.")
     if others:
         what = "sensor biases" if free is None else ", ".join(free) or "nothing else"
-        notes.append(f"Gains were measured on {', '.join(e.name for e in others)}, with first states and {what} free.")
+        notes.append(
+            f"Gains were computed on {', '.join(e.name for e in others)}, with initial states and {what} re-estimated."
+        )
     else:
-        notes.append("Gains were measured on a quarter of the record at a time, predicted from the others.")
+        notes.append(
+            "Gains were computed by cross-validation: each quarter of the record was predicted from the others."
+        )
     if len(final.candidates) >= most:
-        notes.append(f"The search ends after {most} findings: diagnose the extended fit for what is left.")
+        notes.append(f"The search ends after {most} findings: diagnose the extended fit to continue.")
     if ended:
-        notes.append(f"{_EARLY[ended]}: what it had found until then is here.")
+        notes.append(f"{_EARLY[ended]}: the results up to then are given.")
     return tuple(notes)

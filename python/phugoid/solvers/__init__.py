@@ -35,7 +35,7 @@ __all__ = [
 
 
 HINTS = {
-    "converged": "a local optimum was found; other starts (or ph.multistart) tell whether it is the global one",
+    "converged": "a local optimum was found; other starts (ph.multistart) show whether it is the global one",
     "acceptable": "stopped at an acceptable point: tolerances were not all met, often for want of precision; "
     "check the standard errors",
     "interrupted": "stopped by the user; this is the best point so far, and start=fit goes on from it",

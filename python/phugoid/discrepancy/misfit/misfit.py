@@ -74,7 +74,7 @@ class Misfit:
         lines = [self.channels[name].summary() for name in self.worst]
         notes = list(dict.fromkeys(note for name in self.worst for note in self.channels[name].notes))
         if not self.fit.converged:
-            notes.append(f"the fit is no optimum ({self.fit.status}): another one may leave other residuals")
+            notes.append(f"the fit is not at an optimum ({self.fit.status}): another one may leave other residuals")
         return "\n".join([*lines, *(f"Note: {note}." for note in notes)])
 
     def plot(self, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:

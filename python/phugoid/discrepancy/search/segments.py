@@ -75,8 +75,8 @@ class Segments:
     def note(self) -> str:
         """The note for the user."""
         return (
-            f"Over a whole record the simulation drifts away from what was measured. It was simulated over segments of "
-            f"{self.horizon:.3g} s, each with its own first states, and so were the data held out."
+            "Over a whole record the simulation drifts away from the measurements. The records, and those held out, "
+            f"were simulated in segments of {self.horizon:.3g} s, each with initial states of its own."
         )
 
 
@@ -162,11 +162,13 @@ def restarted(fit: FitResult, validation: Sequence[Experiment]) -> Restart:
         if again is not None:
             return Restart(
                 again,
-                f"{status}; begun again with the parameters that short segments of the records determine it converged, "
-                "and that fit was diagnosed.",
+                f"{status}; started again from the parameters estimated from short segments of the records it "
+                "converged, and that fit was diagnosed.",
             )
         segments = Segments.of(pieces, length, validation)
-        return Restart(near, f"{status}. Over short segments, each with its own first states, it converged.", segments)
+        return Restart(
+            near, f"{status}. It converged over short segments, each with initial states of its own.", segments
+        )
     return Restart(
         None,
         f"{status}, and neither from the measured path nor over short segments of the records does an estimation "
@@ -242,8 +244,8 @@ class Thinned:
     def note(self) -> str:
         """The note for the user."""
         return (
-            f"Nothing in the records is as quick as they were sampled: the diagnosis is of means over {self.factor} "
-            f"samples each, {self.rate:.3g} a second."
+            f"The records are sampled much faster than the motion: the diagnosis uses means over {self.factor} "
+            f"samples, at {self.rate:.3g} Hz."
         )
 
 

@@ -85,7 +85,7 @@ def test_surrogates_among_causes_are_named() -> None:
         "Z:periodic is a surrogate, which fits but may represent another cause."
     )
     both.findings.append(dataclasses.replace(surrogate, cause="Z:drift"))
-    assert "Z:periodic, Z:drift are surrogates, which fit in place of" in headline(both)
+    assert "Z:periodic, Z:drift are surrogates, which fit but may represent" in headline(both)
 
 
 @pytest.mark.parametrize(("ratio", "predictable", "told"), [(5.2, 0.97, True), (1.2, 0.97, False), (5.2, 0.3, False)])

@@ -298,7 +298,7 @@ def test_middling_records_go_without_regimes() -> None:
 def test_channels_that_never_change() -> None:
     found = misfit(fit(record(exact=np.zeros(N), off=np.full(N, 0.3), az=white())))
     assert found.channels["exact"].summary() == "exact: no residual, matched exactly"
-    assert found.channels["off"].summary() == "off: residual 0.3, with no noise in it; mean off by 0.3"
+    assert found.channels["off"].summary() == "off: residual 0.3, without measurable noise; mean off by 0.3"
     assert not found.channels["az"].structured
 
 
@@ -328,7 +328,7 @@ def test_a_fit_without_residuals_is_refused() -> None:
 def test_a_fit_that_is_no_optimum_is_told_of() -> None:
     f = fit(record(az=white()))
     f.converged, f.status = False, "iteration limit"
-    assert "Note: the fit is no optimum (iteration limit)" in misfit(f).summary()
+    assert "Note: the fit is not at an optimum (iteration limit)" in misfit(f).summary()
 
 
 def test_of_process_noise_innovations_are_looked_at() -> None:

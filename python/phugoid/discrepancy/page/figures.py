@@ -95,11 +95,18 @@ def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axe
         left.tick_params(axis="y", length=0.0)
         left.invert_yaxis()
         left.set_xlabel("part of the misfit explained, %")
-        right.set_xlabel("mean square less, %")
+        right.set_xlabel("reduction of mean square, %")
         right.tick_params(axis="y", length=0.0)
         for k, name in enumerate(outputs):  # for the key
             right.plot([], [], linestyle="", marker="o", color=f"C{k}", ms=5.0, label=plain(name))
-        figure.legend(loc="outside upper right", ncols=6, frameon=False, fontsize=7.0)
+        figure.legend(
+            loc="outside upper right",
+            ncols=min(len(outputs), 9),
+            frameon=False,
+            fontsize=7.0,
+            handletextpad=0.1,
+            columnspacing=1.0,
+        )
     return figure, Panels({"explained": left, "outputs": right})
 
 

@@ -309,3 +309,8 @@ def test_progress_takes_one_line_of_a_notebook(monkeypatch: pytest.MonkeyPatch, 
     fit.bootstrap(4, progress=True)
     assert len(shown) == 2 and shown[1].endswith("4/4")
     assert capsys.readouterr().err == ""
+
+
+def test_a_model_without_quantities_is_advised_to_declare_them(diagnosis: ph.results.Diagnosis) -> None:
+    assert not diagnosis.fit.model.quantity_names
+    assert any("m.quantities(...)" in note for note in diagnosis.notes)

@@ -487,6 +487,11 @@ def _notes(
         )
     if len(final.candidates) >= most:
         notes.append(f"The search ends after {most} findings: diagnose the extended fit to continue.")
+    if not final.fit.model.quantity_names:
+        notes.append(
+            "The model declares no quantities. Candidates for a force or a moment are tried, in all equations at once, "
+            "where it is declared by m.quantities(...)."
+        )
     if ended:
         notes.append(f"{_EARLY[ended]}: the results up to then are given.")
     return tuple(notes)

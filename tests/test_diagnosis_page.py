@@ -261,11 +261,11 @@ def test_page_without_candidates_or_held_out_data(diagnosis: Any, extension: Ext
         ([], "unexplained", "No cause was found, but the residuals are not white"),
         ([UNEXPLAINED], "unexplained", "The misfit is significant, but its cause is not established."),
         ([FINDING], "named", "The model misses one of {q':q|q|, q':q^2}."),
-        ([SURROGATE], "unexplained", "de:scale is a surrogate, which fits in place of something else"),
+        ([SURROGATE], "unexplained", "de:scale is a surrogate, which fits but may represent another cause"),
         ([MINOR], "unexplained", "Minor: q:bias, which explains very little."),
         ([UNCERTAIN], "unexplained", "q:bias is significant, but what it explains of data held out may be chance."),
-        ([FINDING, MINOR], "named", "The model misses one of {q':q|q|, q':q^2}. Minor: q:bias, which explains next"),
-        ([FINDING, UNEXPLAINED], "named", "A part of the misfit stays without an established cause."),
+        ([FINDING, MINOR], "named", "The model misses one of {q':q|q|, q':q^2}. Minor: q:bias, which explains very"),
+        ([FINDING, UNEXPLAINED], "named", "A part of the misfit has no established cause."),
     ],
 )
 def test_the_outcomes(diagnosis: Any, findings: list[Finding], kind: str, words: str) -> None:

@@ -12,8 +12,7 @@ from sphinx.application import Sphinx
 import phugoid
 
 HERE = Path(__file__).resolve().parent
-# "examples": a page of the gallery uses one.
-sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent / "examples")]
+sys.path.insert(0, str(HERE / "_ext"))
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 project = "Phugoid"
@@ -72,6 +71,8 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "abort_on_example_error": True,
     "min_reported_time": 10_000,
+    "reset_modules": ("matplotlib", "examples_on_path.examples_on_path"),
+    "reset_modules_order": "both",
     "within_subsection_order": "FileNameSortKey",
 }
 

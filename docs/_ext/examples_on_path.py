@@ -10,8 +10,8 @@ FOLDER = Path(__file__).resolve().parents[2] / "examples"
 
 
 def examples_on_path(_: dict[str, Any], __: str, when: str) -> None:
-    """Put the folder on the path before a page is run. Take it off after, and forget the modules in it: other pages have
-    an ``hfb320`` of their own."""
+    """Put the folder on the path before a page is run; after it, take it off, and forget the modules in it, since other
+    pages have an ``hfb320`` of their own."""
     if when == "before":
         sys.path.insert(0, str(FOLDER))
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
@@ -452,12 +453,24 @@ def _shown(progress: Any) -> Any:
     return _steps_shown()
 
 
+# Seconds between steps that are shown where each takes a line.
+_EVERY = 5.0
+
+
 @contextmanager
 def _steps_shown() -> Iterator[Callable[[str], None]]:
     """Yield a function to call with each step of a diagnosis: it shows the step, and the time since the first."""
-    line, began = StatusLine(), time.monotonic()
+    line, began, shown = StatusLine(), time.monotonic(), -math.inf
+
+    def show(text: str) -> None:
+        nonlocal shown
+        now = time.monotonic()
+        if line.is_overwritten or now - shown > _EVERY:
+            shown = now
+            line.show(f"diagnose, {now - began:.0f} s: {text}")
+
     try:
-        yield lambda text: line.show(f"diagnose, {time.monotonic() - began:.0f} s: {text}")
+        yield show
     finally:
         line.keep()
 

@@ -71,6 +71,8 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "abort_on_example_error": True,
     "min_reported_time": 10_000,
+    "reset_modules": ("matplotlib", "examples_on_path.examples_on_path"),
+    "reset_modules_order": "both",
     "within_subsection_order": "FileNameSortKey",
 }
 

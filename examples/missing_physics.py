@@ -6,8 +6,8 @@ believed: all parameters converge, with small standard errors, and are wrong. `d
 reads the residuals, tries some 250 candidates, and comes to one of three ends:
 
     named         the model misses a cause, or "one of" several that these data do not tell apart (its aliases);
-    unexplained   the residuals hold more than noise, but no candidate predicts data that were held out;
-    nothing       nothing significant is missing.
+    unexplained   the residuals are more than noise, but no candidate improves the prediction of held-out data;
+    nothing       no effect that these data and candidates could show is missing.
 
 A second manoeuvre of the same aircraft is held out: what is found must predict it, with only initial states and sensor
 biases free.

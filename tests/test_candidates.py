@@ -570,7 +570,7 @@ def test_wrong_options_and_wrong_extensions_are_refused(
         KeyError, match="there is no candidate 'Cx:.*What the model's parameters can do already is left out"
     ):
         library.without("Cx:*")
-    with pytest.raises(ph.ModelError, match="'Cm:alpha\\*q' is there twice"):
+    with pytest.raises(ph.ModelError, match="'Cm:alpha\\*q' is given twice"):
         library + library.only("Cm:alpha*q")
     c = library["Cm:alpha*q"]
     with pytest.raises(ph.ModelError, match="start names 'Cm_alpha'"):
@@ -579,7 +579,7 @@ def test_wrong_options_and_wrong_extensions_are_refused(
         c.extended(c.extended(m))
     with pytest.raises(ph.ModelError, match="the model has no quantity 'Cm'"):
         c.extended(oscillator())
-    with pytest.raises(ph.ModelError, match="'de' stands in no equation; extend inputs in order of stage"):
+    with pytest.raises(ph.ModelError, match="'de' is in no equation; extend inputs in order of stage"):
         library["de:deadband"].extended(library["de:delay"].extended(m))
     other = ph.candidates(oscillator())
     with pytest.raises(ph.DataError, match="the points have no"):

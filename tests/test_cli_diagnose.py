@@ -42,7 +42,7 @@ def test_a_hidden_cause_is_named(here: Path) -> None:
 def test_nothing_missing_is_a_conclusion(here: Path) -> None:
     ph.estimate(load_model("model.py"), ph.read("run1.csv")).save("fit.json")
     done = run("diagnose", "fit.json")
-    assert done.exit_code == 0 and "Nothing significant is missing" in done.stdout, done.output
+    assert done.exit_code == 0 and "No effect that these data" in done.stdout, done.output
 
 
 def test_a_fit_that_has_not_converged_is_exit_code_1(here: Path) -> None:

@@ -65,7 +65,9 @@ def test_one_output_that_is_exact() -> None:
 
 
 def test_too_few_samples_of_an_output() -> None:
-    with pytest.raises(DataError, match=r"output 'angle' has 31 samples, too few to tell noise from misfit \(40\)"):
+    with pytest.raises(
+        DataError, match=r"output 'angle' has 31 samples, too few to distinguish noise from misfit \(40\)"
+    ):
         ph.diagnose(ph.estimate(servo().model, servo().data.window(0, 0.6)))
     outputs = {n: y.copy() for n, y in servo().data.outputs.items()}
     outputs["rate"][20:] = np.nan
@@ -137,7 +139,7 @@ def elsewhere() -> ph.results.Candidates:
 @pytest.mark.parametrize(
     ("candidates", "error", "words"),
     [
-        (lambda: [*ph.candidates(servo().model)][:1] * 2, OptionError, "candidate 'torque:angle' is there twice"),
+        (lambda: [*ph.candidates(servo().model)][:1] * 2, OptionError, "candidate 'torque:angle' is given twice"),
         (lambda: ph.candidates(make("duffing", (), "", "white", 1).model), OptionError, "quantity 'f', which the"),
         (lambda: [elsewhere()["torque:a*b"]], DataError, "no state, input or quantity 'a'"),
         (lambda: ["torque:sign(rate)"], OptionError, r"'torque:sign\(rate\)', which is no Candidate: make them by"),

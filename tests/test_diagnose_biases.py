@@ -46,7 +46,7 @@ def fit(number: int) -> ph.Fit:
 def test_the_validation_record_is_used_with_its_own_trim(number: int) -> None:
     d = ph.diagnose(fit(number), validation=record(*RECORDS[2]), biases=["trim"])
     assert d.findings[0].cause == "v':x^3" and d.findings[0].held_out_gain > 100
-    assert "Gains were measured on third, with first states and trim free." in d.notes
+    assert "Gains were computed on third, with initial states and trim re-estimated." in d.notes
     assert d.extend().gain.held_out_rms_before
 
 

@@ -36,7 +36,7 @@ def test_the_table_and_a_validation_agree(other: float) -> None:
         assert matches[name].rms == pytest.approx(rms, rel=0.02)
         assert rms <= extension.gain.held_out_rms_before[name] * 1.001
     if other < 0.0:
-        assert any("Of the records of the fit alone: ma:drift" in note for note in d.notes)
+        assert any("Only in the records of the fit: ma:drift" in note for note in d.notes)
         better = ph.improve(fit, validation)
         assert better.added == () and better.steps[0].rejected == {"ma:drift": "of its record alone"}
 

@@ -51,6 +51,10 @@ def test_the_extended_model_is_a_model_like_any_other(
             np.testing.assert_allclose(simulated.outputs[name], y, rtol=0, atol=0.05 * sigma)
 
 
+def test_a_model_with_quantities_is_not_advised_to_declare_them(diagnosis: ph.results.Diagnosis) -> None:
+    assert diagnosis.fit.model.quantity_names and not any("declares no quantities" in note for note in diagnosis.notes)
+
+
 def test_the_extended_fit_is_saved_and_validated_like_any_other(
     diagnosis: ph.results.Diagnosis, case: Case, tmp_path: Path
 ) -> None:

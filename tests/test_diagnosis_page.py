@@ -240,7 +240,7 @@ def test_page_without_findings_does_not_extend(diagnosis: Any, fits: tuple[ph.Fi
     diagnosis.extend = None
     source, parsed = page(diagnosis, tmp_path)
     assert "The gain" not in source and "The new equations" not in source
-    assert "Nothing significant is missing" in parsed.text
+    assert "No effect that these data" in parsed.text
     diagnosis.findings = [UNEXPLAINED]
     _, parsed = page(diagnosis, tmp_path)
     assert "its cause is not established" in parsed.text
@@ -261,11 +261,11 @@ def test_page_without_candidates_or_held_out_data(diagnosis: Any, extension: Ext
         ([], "unexplained", "No cause was found, but the residuals are not white"),
         ([UNEXPLAINED], "unexplained", "The misfit is significant, but its cause is not established."),
         ([FINDING], "named", "The model misses one of {q':q|q|, q':q^2}."),
-        ([SURROGATE], "unexplained", "de:scale is a surrogate, which fits in place of something else"),
-        ([MINOR], "unexplained", "Minor: q:bias, which explains next to nothing."),
+        ([SURROGATE], "unexplained", "de:scale is a surrogate, which fits but may represent another cause"),
+        ([MINOR], "unexplained", "Minor: q:bias, which explains very little."),
         ([UNCERTAIN], "unexplained", "q:bias is significant, but what it explains of data held out may be chance."),
-        ([FINDING, MINOR], "named", "The model misses one of {q':q|q|, q':q^2}. Minor: q:bias, which explains next"),
-        ([FINDING, UNEXPLAINED], "named", "A part of the misfit stays without an established cause."),
+        ([FINDING, MINOR], "named", "The model misses one of {q':q|q|, q':q^2}. Minor: q:bias, which explains very"),
+        ([FINDING, UNEXPLAINED], "named", "A part of the misfit has no established cause."),
     ],
 )
 def test_the_outcomes(diagnosis: Any, findings: list[Finding], kind: str, words: str) -> None:
@@ -278,7 +278,7 @@ def test_the_outcomes(diagnosis: Any, findings: list[Finding], kind: str, words:
 @pytest.mark.parametrize(
     ("findings", "verdict", "words"),
     [
-        ([], "nothing", "Nothing significant is missing"),
+        ([], "nothing", "No effect that these data"),
         ([MINOR], "minor", "Minor: q:bias"),
         ([SURROGATE, MINOR], "surrogate", "de:scale is a surrogate"),
     ],
@@ -303,7 +303,7 @@ def test_summary_has_evidence_rivals_and_what_is_open(diagnosis: Any) -> None:
         "Estimated: -0.80 ± 0.05 1/rad (95 %: -0.9 to -0.7).",
         "Gain in log-likelihood, residuals whitened: +120.0 (threshold 17.0); on data held out: +31.5.",
         "The data do not distinguish it from: q':q^2 (+96.0).",
-        "A surrogate: it fits, but may stand in for another cause.",
+        "A surrogate: it fits the data, but may represent another cause.",
         "3. a cause not established",
         "Half of the record <was> held out.",
         diagnosis.misfit.worst[0] + ": residual",
@@ -316,7 +316,7 @@ def test_summary_has_evidence_rivals_and_what_is_open(diagnosis: Any) -> None:
 def test_summary_says_how_near_the_best_candidate_came(diagnosis: Any) -> None:
     diagnosis.findings = []
     diagnosis.ranking = [dataclasses.replace(diagnosis.ranking[0], name="q':q^2", statistic=9.5)]
-    assert "Of 1 candidates the nearest is q':q^2, with 9.5 of the 17.0" in diagnosis_summary(diagnosis)
+    assert "The best of 1 candidates is q':q^2, with a gain of 9.5" in diagnosis_summary(diagnosis)
 
 
 def test_gain_in_words(extension: Extension) -> None:

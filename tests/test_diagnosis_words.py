@@ -61,11 +61,11 @@ def test_the_ends_of_an_interval_can_be_told_apart(value: float, error: float, i
 
 def test_an_estimate_at_the_edge_of_its_range_has_no_error() -> None:
     edge = dataclasses.replace(LAG, coefficient=0.0, std_error=0.0, interval=(0.0, 0.0), unit="N")
-    assert value_of(edge) == "0 N, at the edge of its range, and so without a standard error"
+    assert value_of(edge) == "0 N, at the limit of its range, therefore without a standard error"
 
 
 def test_a_finding_that_does_not_predict_is_doubted() -> None:
-    doubted = "Beside the other causes it does not help to predict the data held out: doubt it."
+    doubted = "Together with the other causes it does not improve the prediction of held-out data; it is doubtful."
     assert doubted in finding_lines(dataclasses.replace(LAG, held_out_gain=-14.2))
     assert doubted not in finding_lines(LAG)
     assert doubted not in finding_lines(dataclasses.replace(LAG, held_out_gain=math.nan))
@@ -82,10 +82,10 @@ def test_surrogates_among_causes_are_named() -> None:
     both: Any = SimpleNamespace(findings=[LAG, surrogate], verdict="named", interrupted=False, is_extended=False)
     assert headline(both) == (
         "The model misses one of {CL:lag_alpha, CL:lag_q}. "
-        "Z:periodic is a surrogate, which fits in place of something else: the cause itself may be another."
+        "Z:periodic is a surrogate, which fits but may represent another cause."
     )
     both.findings.append(dataclasses.replace(surrogate, cause="Z:drift"))
-    assert "Z:periodic, Z:drift are surrogates, which fit in place of" in headline(both)
+    assert "Z:periodic, Z:drift are surrogates, which fit but may represent" in headline(both)
 
 
 @pytest.mark.parametrize(("ratio", "predictable", "told"), [(5.2, 0.97, True), (1.2, 0.97, False), (5.2, 0.3, False)])
@@ -103,8 +103,8 @@ def near(statistic: float) -> Any:
 
 
 def test_how_near_the_best_candidate_came() -> None:
-    text = "Of 2 candidates the nearest is q:bias, with {} of the 19.8 that are needed in twice the log-likelihood"
+    text = "The best of 2 candidates is q:bias, with a gain of {} in twice the log-likelihood (threshold 19.8)"
     assert _nearest(near(15.6)) == text.format(15.6) + "."
     assert _nearest(near(25.0)) == text.format("25.0") + (
-        ", to first order; fitted in full, or on data held out, it did not prove itself."
+        " to first order. It was rejected when it was estimated with the model, or by held-out data."
     )

@@ -103,7 +103,7 @@ def test_of_coloured_noise_only_the_colour_is_claimed(pole: float) -> None:
 def test_nothing_found_is_said_so() -> None:
     c = channel(white())
     assert not c.structured
-    assert c.summary() == "az: residual 1 m/s², as much as its noise; no structure found"
+    assert c.summary() == "az: residual 1 m/s², equal to its noise; no structure found"
 
 
 def test_a_burst_is_found_at_its_time() -> None:
@@ -287,7 +287,7 @@ def test_short_records_say_that_they_are_short(n: int) -> None:
     c = channel(white(0, n))
     assert math.isnan(c.noise) and not c.structured
     assert c.summary().endswith("too few samples to say more")
-    assert c.notes == (f"az has {n} samples: too few to tell noise from misfit (30 are needed)",)
+    assert c.notes == (f"az has {n} samples: too few to distinguish noise from misfit (30 are needed)",)
 
 
 def test_middling_records_go_without_regimes() -> None:
@@ -298,7 +298,7 @@ def test_middling_records_go_without_regimes() -> None:
 def test_channels_that_never_change() -> None:
     found = misfit(fit(record(exact=np.zeros(N), off=np.full(N, 0.3), az=white())))
     assert found.channels["exact"].summary() == "exact: no residual, matched exactly"
-    assert found.channels["off"].summary() == "off: residual 0.3, with no noise in it; mean off by 0.3"
+    assert found.channels["off"].summary() == "off: residual 0.3, without measurable noise; mean off by 0.3"
     assert not found.channels["az"].structured
 
 
@@ -328,7 +328,7 @@ def test_a_fit_without_residuals_is_refused() -> None:
 def test_a_fit_that_is_no_optimum_is_told_of() -> None:
     f = fit(record(az=white()))
     f.converged, f.status = False, "iteration limit"
-    assert "Note: the fit is no optimum (iteration limit)" in misfit(f).summary()
+    assert "Note: the fit is not at an optimum (iteration limit)" in misfit(f).summary()
 
 
 def test_of_process_noise_innovations_are_looked_at() -> None:

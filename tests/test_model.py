@@ -334,8 +334,8 @@ def test_no_states() -> None:
         (lambda m: m.inputs("x"), "input 'x': there is a state of this name already"),
         (lambda m: m.parameters("u"), "parameter 'u': there is a input of this name already"),
         (lambda m: m.quantities(T=1.0), "quantity 'T': there is a parameter of this name already"),
-        (lambda m: m.states("a b a"), "states: 'a' is there twice"),
-        (lambda m: m.inputs("a", a="m"), "inputs: 'a' is there twice"),
+        (lambda m: m.states("a b a"), "states: 'a' is given twice"),
+        (lambda m: m.inputs("a", a="m"), "inputs: 'a' is given twice"),
     ],
 )
 def test_name_given_twice(declare: Callable[[Model], Any], words: str) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+import sys
+import types
 import xml.etree.ElementTree as xml
 from collections.abc import Callable
 from typing import Any
@@ -237,6 +239,8 @@ def test_keys_are_completed(fit: ph.Fit) -> None:
     assert fit.parameters._ipython_key_completions_() == list(fit.parameters)
     library = ph.candidates(fit.model)
     assert library._ipython_key_completions_() == list(library.names)
+    record = pictures.flights()[0]
+    assert record.outputs._ipython_key_completions_() == list(record.outputs)
     profiles = fit.profile("Mq")
     assert profiles._ipython_key_completions_() == ["Mq"]
 
@@ -277,3 +281,36 @@ def test_dead_bands_and_saturations_read_as_such(kind: str, said: str, fit: ph.F
         and "<msqrt>" not in markup
         and ("<mo>−</mo><mi>clip" in markup) == (kind == "deadband")
     )
+
+
+def test_a_plot_prints_the_names_of_its_axes(fit: ph.Fit) -> None:
+    figure, axes = shown = fit.plot(channels=["q"])
+    assert repr(axes) == "<axes: q, q residual>" and repr(shown) == f"({figure!r}, <axes: q, q residual>)"
+    with pytest.raises(KeyError, match="there is no panel 'Q'. Did you mean 'q'"):
+        axes["Q"]
+
+
+def test_progress_takes_one_line_of_a_notebook(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    shown: list[str] = []
+
+    class Handle:
+        def update(self, data: dict[str, str], raw: bool) -> None:
+            shown[-1] = data["text/plain"]
+
+    def display(data: dict[str, str], raw: bool, display_id: bool) -> Handle:
+        shown.append(data["text/plain"])
+        return Handle()
+
+    kernel = types.SimpleNamespace(config={"IPKernelApp": {}})
+    monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: kernel))
+    monkeypatch.setitem(sys.modules, "IPython.display", types.SimpleNamespace(display=display))
+    fit = ph.estimate(pictures.pitch(), pictures.flights()[0], progress=True)
+    assert len(shown) == 1 and f"iteration {fit.iterations:4d}" in shown[0]
+    fit.bootstrap(4, progress=True)
+    assert len(shown) == 2 and shown[1].endswith("4/4")
+    assert capsys.readouterr().err == ""
+
+
+def test_a_model_without_quantities_is_advised_to_declare_them(diagnosis: ph.results.Diagnosis) -> None:
+    assert not diagnosis.fit.model.quantity_names
+    assert any("m.quantities(...)" in note for note in diagnosis.notes)

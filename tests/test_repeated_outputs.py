@@ -1,4 +1,4 @@
-"""A measurement that is there twice makes standard errors too small, and the fit says so, with the names."""
+"""A measurement that is given twice makes standard errors too small, and the fit says so, with the names."""
 
 from __future__ import annotations
 

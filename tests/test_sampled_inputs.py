@@ -75,7 +75,7 @@ def test_inputs_sampled_slowly_are_no_disturbance(seed: int) -> None:
     first, second = (record(steps(s, T), s) for s in (seed, seed + 1))
     d = ph.diagnose(ph.estimate(mass(), first), validation=second)
     assert not d.findings and d.verdict == "nothing", d.summary()
-    assert any("u in" in note and "faster than their samples" in note for note in d.notes)
+    assert any("u in" in note and "faster than they were sampled" in note for note in d.notes)
 
 
 def test_a_cause_is_found_beside_inputs_sampled_slowly() -> None:

@@ -21,7 +21,7 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "notebook", "writing", "tabular", "functions", "parameters", "modelling", "data",
+    "_core", "errors", "progress", "notebook", "writing", "tabular", "functions", "parameters", "modelling", "data",
     "transcription", "filter_error", "initialisation", "solvers", "records", "fit_result", "goodness_of_fit",
     "figures", "regression", "estimation", "simulation", "linear", "models", "export", "saving", "residual_noise",
     "sensitivities", "frozen_model", "validation", "design", "pages", "discrepancy", "uncertainty", "summary",

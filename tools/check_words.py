@@ -22,7 +22,8 @@ NO_VERBS = {
 }
 PHRASES = re.compile(
     r"pass(es)?\s+for\s+white|(found|estimated)\s+anew|holds?\s+zero\b|told\s+of|not\s+told|tells?\s+nothing|"
-    r"as\s+coloured\s+as\s+(they\s+are|the\s+residuals)|what\s+to\s+beware\s+of",
+    r"as\s+coloured\s+as\s+(they\s+are|the\s+residuals)|what\s+to\s+beware\s+of|all\s+else\s+was\s+sought|did\s+not\s+prove\s+itself|"
+    r"in\s+place\s+of\s+something\s+else|as\s+much\s+as\s+its\s+noise",
     re.IGNORECASE,
 )
 TEXTS = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", tokenize.STRING)}

@@ -26,17 +26,11 @@ The records are not part of this project. The example ``examples/real_records.py
 each is prepared. A record that was not there when this page was built is reported as skipped.
 """
 
-import sys
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
+from real_records import CASES, judged, said  # examples/real_records.py
 
 import phugoid as ph
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
-
-from real_records import CASES, judged, said
 
 diagnoses, verdicts = {}, {}
 

@@ -8,7 +8,7 @@ number begin with ``what``, which names the function and the option: "bootstrap:
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, NoReturn, TypeVar
 
@@ -20,6 +20,7 @@ __all__ = [
     "ModelError",
     "OptionError",
     "PhugoidError",
+    "ReadOnly",
     "UnknownAttribute",
     "UnknownName",
     "check_progress",
@@ -29,6 +30,7 @@ __all__ = [
     "is_whole",
     "joined",
     "listing",
+    "nearest",
     "part",
     "positive",
     "refuse_attribute",
@@ -88,23 +90,28 @@ class UnknownName(PhugoidError, KeyError):
         return str(self.args[0]) if self.args else ""
 
 
-def did_you_mean(name: str, candidates: Iterable[str]) -> str:
-    """Return the end of an error message: ``" Did you mean 'x'?"`` for the nearest of ``candidates``, or ``""``.
-
-    Letter case is ignored, since a wrong case is the commonest slip.
-
-    >>> did_you_mean("Alpha", ["q", "alpha"])
-    " Did you mean 'alpha'?"
-    >>> did_you_mean("V", ["q", "alpha"])
-    ''
-    """
+def nearest(name: str, candidates: Iterable[str]) -> str:
+    """Return the candidate that a name is likely to mean, or "". Letter case is ignored: a wrong case is the commonest
+    slip."""
     from difflib import get_close_matches
 
     lowered: dict[str, str] = {}
     for candidate in candidates:
         lowered.setdefault(candidate.lower(), candidate)
     near = get_close_matches(str(name).lower(), lowered, n=1)  # a number, where text was meant, is no reason to fail
-    return f" Did you mean '{lowered[near[0]]}'?" if near else ""
+    return lowered[near[0]] if near else ""
+
+
+def did_you_mean(name: str, candidates: Iterable[str]) -> str:
+    """Return the end of an error message: ``" Did you mean 'x'?"`` for the nearest of ``candidates``, or ``""``.
+
+    >>> did_you_mean("Alpha", ["q", "alpha"])
+    " Did you mean 'alpha'?"
+    >>> did_you_mean("V", ["q", "alpha"])
+    ''
+    """
+    meant = nearest(name, candidates)
+    return f" Did you mean '{meant}'?" if meant else ""
 
 
 def listing(name: str, available: Collection[str]) -> str:
@@ -137,6 +144,32 @@ class ByName(dict[str, _T]):
 
     def _ipython_key_completions_(self) -> list[str]:
         return list(self)
+
+
+class ReadOnly(Mapping[str, _T]):
+    """A mapping by name that cannot be changed, with the KeyError and the completion of names of `ByName`.
+
+    >>> ReadOnly("output", {"q": 1, "alpha": 2})
+    {'q': 1, 'alpha': 2}
+    """
+
+    def __init__(self, what: str, values: Mapping[str, _T]) -> None:
+        self._values = ByName(what, values)
+
+    def __getitem__(self, name: str) -> _T:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __repr__(self) -> str:
+        return repr(dict(self._values))
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._values)
 
 
 def refuse_attribute(instance: Any, kind: type, name: str, value: Any) -> None:

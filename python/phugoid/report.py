@@ -61,15 +61,14 @@ def _of_residuals(fit: FitResult) -> list[str]:
             off.append(name)
     if coloured and filtered:
         found.append(
-            "Innovations are not white: each follows from the one before, with a correlation of "
-            f"{_listed(coloured)}. They are white where the model and its process noise are right: ph.misfit shows "
-            "where they are not."
+            f"Innovations are not white: their correlations at lag 1 are {_listed(coloured)}. They would be white if "
+            "the model and its process noise were right: ph.misfit shows where they are not."
         )
     elif coloured:
         found.append(
-            f"Residuals are not white: each follows from the one before, with a correlation of {_listed(coloured)}. "
-            "The plain standard errors take them for white, and are too small. Either the model misses something "
-            "(ph.diagnose shows what), or the noise is filtered."
+            f"Residuals are not white: their correlations at lag 1 are {_listed(coloured)}. The plain standard errors "
+            "assume white residuals, and are too small. Either the model misses something (ph.diagnose shows what), or "
+            "the noise is filtered."
         )
     if off:
         what = "Innovations" if filtered else "Residuals"

@@ -172,10 +172,10 @@ class Validation:
         lines = []
         for m in self.matches.values():
             if not m.samples:
-                lines.append(f"{m.output}: nothing was measured that the model could be compared with.")
+                lines.append(f"{m.output}: there are no measurements to compare the model with.")
                 continue
             if not math.isfinite(m.rms):
-                lines.append(f"{m.output}: no motion of the model was found that could be compared.")
+                lines.append(f"{m.output}: no solution of the model was found to compare with the measurements.")
                 continue
             said = []
             if math.isfinite(m.sigma):

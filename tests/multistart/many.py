@@ -25,7 +25,7 @@ TRAPEZOID = ph.Collocation(order=2)
 
 
 def square() -> Model:
-    """A lag of which the output knows the gain by its square only: every optimum is there twice."""
+    """A lag of which the output knows the gain by its square only: every optimum is given twice."""
     m = Model("lag with a squared gain")
     (x,) = m.states("x")
     (u,) = m.inputs("u")

@@ -23,7 +23,7 @@ COMMANDS = {
     "fit": ("fit", "Estimate the parameters of a model from one data file or several."),
     "diagnose": (
         "fit",
-        "Name what a model misses: shows the misfit, its cause among some 250 candidates, and the gain.",
+        "Name the cause of a model's misfit, among some 250 candidates, and the gain of the extended model.",
     ),
     "simulate": (
         "simulate",
@@ -64,7 +64,7 @@ def _listed() -> None:
 
 app = typer.Typer(
     name="phugoid",
-    help="Finds the parameters of flight vehicles, and of any system of ODEs, from measured data.",
+    help="Estimate the parameters of flight vehicles, and of any system of ODEs, from measured data.",
     epilog="Exit codes: 0 converged; 1 not converged, or nothing to conclude; 2 bad input; 130 interrupted.",
     cls=_Commands,
     no_args_is_help=True,
@@ -85,7 +85,7 @@ def _version(asked: bool) -> None:
 @app.callback()
 def _common(
     version: Annotated[
-        bool, typer.Option("--version", help="Shows the version.", is_eager=True, callback=_version)
+        bool, typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=_version)
     ] = False,
 ) -> None:
     pass

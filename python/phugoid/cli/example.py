@@ -34,22 +34,23 @@ _Array = NDArray[np.float64]
 
 
 def example(
-    name: Annotated[str | None, typer.Argument(help="Which; --list shows them.", metavar="NAME")] = None,
-    folder: Annotated[Path, typer.Option("--out", help="Folder to write into; it is made.")] = Path(),
-    every: Annotated[bool, typer.Option("--list", help="Shows the examples there are.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Writes over files that are there.")] = False,
+    name: Annotated[
+        str | None, typer.Argument(help="Example to write; without it they are listed.", metavar="NAME")
+    ] = None,
+    folder: Annotated[Path, typer.Option("--out", help="Folder to write into; created if necessary.")] = Path(),
+    every: Annotated[bool, typer.Option("--list", help="List the examples.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     json: JsonOption = False,
 ) -> None:
     """Write an example, a model file and two simulated records, and say which commands to run on it."""
-    if every:
+    if every or name is None:
         if json:
             emit_json("example", {"examples": {e.name: e.about for e in EXAMPLES.values()}})
         else:
             width = max(map(len, EXAMPLES))
             print("\n".join(f"{e.name.ljust(width)}  {e.about}" for e in EXAMPLES.values()))
+            print("\nWrite one: phugoid example NAME")
         return
-    if name is None:
-        raise OptionError(f"which example? There are: {', '.join(EXAMPLES)}")
     chosen = example_of(name)
     file = folder / f"{name}.py"
     records = [folder / f"{name}.csv", folder / f"{name}_other.csv"]

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,7 +16,6 @@ from ..api import load_fit
 from ..errors import OptionError
 from ..fit_result import ENDED_WELL
 from ..result import Fit
-from ..solvers.newton import Newton
 from ..validation import Validation
 from .model_file import load_source
 from .options import (
@@ -28,7 +26,6 @@ from .options import (
     PlotOption,
     Reading,
     ReportOption,
-    progress_bar,
     tolerances,
 )
 from .results import (
@@ -56,7 +53,7 @@ def fit(
     how: Estimation,
     reading: Reading,
     save: Annotated[
-        Path | None, typer.Option("--save", help="Writes the fit, for phugoid.load: .json, or .h5 (HDF5).")
+        Path | None, typer.Option("--save", help="Save the fit, to be read by phugoid.load (.json, .h5).")
     ] = None,
     plot: PlotOption = None,
     report: ReportOption = None,
@@ -150,8 +147,7 @@ def validate(
             print(f"{fit.summary()}\n\nThere is nothing to validate: the fit has not converged.")
         return code_of(fit)
     records = reading.read(others)
-    with progress_bar(f"{fit.model.name}: validation", Newton().max_iterations) as watch:
-        result = fit.validate(records, tolerances=limits or None, progress=watch)
+    result = fit.validate(records, tolerances=limits or None, progress=True)
     page = partial(write_report, fit, files=[model.rpartition(":")[0] or model, *data], validation=result)
     writers: list[Callable[[], list[Path]]] = [partial(save_figures, result, plot), saved(page, report)]
     finish("validate", result, partial(_validation_facts, fit, result) if json else None, writers)
@@ -180,20 +176,20 @@ def diagnose(
     data: Annotated[
         list[Path] | None, typer.Argument(help="Data files; none where MODEL is a saved fit.", metavar="DATA...")
     ] = None,
-    fit: Annotated[Path | None, typer.Option("--fit", help="A saved fit of the model to start from.")] = None,
+    fit: Annotated[Path | None, typer.Option("--fit", help="Saved fit from which the estimation starts.")] = None,
     validation: Annotated[
-        list[Path] | None, typer.Option("--validation", help="Another record, to measure the gain on.")
+        list[Path] | None, typer.Option("--validation", help="Record held out, on which the gain is computed.")
     ] = None,
     *,
     how: Estimation,
     reading: Reading,
     save: Annotated[
-        Path | None, typer.Option("--save", help="Writes the diagnosis, for phugoid.load: .json, or .h5 (HDF5).")
+        Path | None, typer.Option("--save", help="Save the diagnosis, to be read by phugoid.load (.json, .h5).")
     ] = None,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> int:
-    """Name what a model misses: shows the misfit, its cause among some 250 candidates, and the gain.
+    """Name the cause of a model's misfit, among some 250 candidates, and the gain of the extended model.
 
     Exit code 1: the fit has not converged, or the residuals have structure and no cause is named.
     """
@@ -207,8 +203,7 @@ def diagnose(
         else:
             print(f"{base.summary()}\n\nThere is nothing to diagnose: a diagnosis needs a converged fit.")
         return code_of(base) or NOT_CONVERGED
-    with _steps() as watch:
-        found = base.diagnose(validation=others, progress=watch)
+    found = base.diagnose(validation=others, progress=True)
     writers = [saved(found.save, save), saved(found.report, report)]
     finish("diagnose", found, partial(_diagnosis_facts, found) if json else None, writers)
     return _code(found)
@@ -226,19 +221,6 @@ def _base(model: str, reading: Reading, data: list[Path], saved: Path | None, ho
         raise OptionError(f"{model} is a model: give data files to fit it to")
     described = source.model if isinstance(source, Fit) else source
     return how.run(described, reading.read(data), before)
-
-
-@contextmanager
-def _steps() -> Iterator[Callable[[str], None]]:
-    """Yield a function to call with each step: it updates a status line on a terminal, or prints a line to stderr
-    elsewhere."""
-    if not sys.stderr.isatty():
-        yield lambda text: print(f"diagnose: {text}", file=sys.stderr)
-        return
-    from rich.console import Console
-
-    with Console(stderr=True).status("diagnose") as status:
-        yield status.update
 
 
 def _code(found: Diagnosis[Fit]) -> int:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -21,7 +19,6 @@ from ..filter_error import FilterError
 from ..goodness_of_fit import Tolerance
 from ..modelling.model import Model
 from ..result import Fit
-from ..solvers import Iteration, Progress
 from ..solvers.ipopt import Ipopt
 from ..solvers.newton import Newton
 from ..transcription import Collocation, Transcription
@@ -45,10 +42,12 @@ ModelArgument: TypeAlias = Annotated[
 DataArgument: TypeAlias = Annotated[list[Path], typer.Argument(help="Data files, one record each.", metavar="DATA...")]
 PlotOption: TypeAlias = Annotated[
     Path | None,
-    typer.Option("--plot", help="Writes the proof of match (.png, .pdf, .svg); several records, several files."),
+    typer.Option("--plot", help="Write the proof of match (.png, .pdf, .svg), one file for each record."),
 ]
-ReportOption: TypeAlias = Annotated[Path | None, typer.Option("--report", help="Writes one HTML page with it all.")]
-JsonOption: TypeAlias = Annotated[bool, typer.Option("--json", help="Results on stdout as JSON.")]
+ReportOption: TypeAlias = Annotated[
+    Path | None, typer.Option("--report", help="Write a report with figures as one HTML page.")
+]
+JsonOption: TypeAlias = Annotated[bool, typer.Option("--json", help="Print the results as JSON.")]
 
 
 def pairs(option: str, texts: Sequence[str] | None) -> dict[str, str]:
@@ -158,34 +157,32 @@ _CALLED = {
 class Reading:
     """Hold the options of `read` for data files, as texts. Raises OptionError for invalid ones."""
 
-    time: Annotated[
-        str | None, Option("--time", help="Column of time, in s; default: t, or one called time.", metavar="NAME")
-    ] = None
+    time: Annotated[str | None, Option("--time", help="Time column, in s; default: t, or time.", metavar="NAME")] = None
     rate: Annotated[
-        float | None, Option("--rate", help="Samples a second, of a file without a column of time.", metavar="HZ")
+        float | None, Option("--rate", help="Sampling rate in Hz of a file without a time column.", metavar="HZ")
     ] = None
     rename: Annotated[
-        list[str] | None, Option("--rename", help="OLD=NEW: a column as the model calls it.", metavar="OLD=NEW")
+        list[str] | None, Option("--rename", help="Rename column OLD to NEW, its name in the model.", metavar="OLD=NEW")
     ] = None
     inputs: Annotated[
-        str | None, Option("--inputs", help="Columns that are inputs; default: the model's.", metavar="A,B")
+        str | None, Option("--inputs", help="Input columns; default: the inputs of the model.", metavar="A,B")
     ] = None
     outputs: Annotated[
-        str | None, Option("--outputs", help="Columns that are outputs; default: the model's.", metavar="A,B")
+        str | None, Option("--outputs", help="Output columns; default: the outputs of the model.", metavar="A,B")
     ] = None
-    window: Annotated[str | None, Option("--window", help="Keeps this part of each record, in s.", metavar="T0,T1")] = (
-        None
-    )
+    window: Annotated[
+        str | None, Option("--window", help="Use the samples from T0 to T1 only, in s.", metavar="T0,T1")
+    ] = None
     units: Annotated[
         list[str] | None,
-        Option("--units", help="Unit of a column, in place of what the file says.", metavar="NAME=UNIT"),
+        Option("--units", help="Unit of a column, instead of that in the file.", metavar="NAME=UNIT"),
     ] = None
     convert: Annotated[
-        bool, Option("--convert", help="Brings columns to SI: degrees to radians, knots to m/s, ...")
+        bool, Option("--convert", help="Convert columns to SI units: degrees to radians, knots to m/s, ...")
     ] = False
     columns: Annotated[
         str | None,
-        Option("--columns", help="Names of all columns in order, of a file without a header.", metavar="T,A,B"),
+        Option("--columns", help="Names of all columns, in order, if there is no header.", metavar="T,A,B"),
     ] = None
 
     def __post_init__(self) -> None:
@@ -224,38 +221,6 @@ class Reading:
             raise DataError(text) from error
 
 
-@contextmanager
-def progress_bar(title: str, limit: int) -> Iterator[Callable[[Iteration], None]]:
-    """Yield a function to call with each iteration: a bar on a terminal, else one line for every tenth iteration.
-
-    The bar ends at ``limit`` iterations; most runs converge long before.
-    """
-    if not sys.stderr.isatty():
-        with Progress.of(True, title) as watch:
-            assert watch is not None
-            yield watch
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bars
-
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(20),
-        TextColumn("iteration {task.completed}/{task.total}"),
-        TextColumn("{task.fields[now]}"),
-        TimeElapsedColumn(),
-    )
-    with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
-        task = bars.add_task(title, total=limit, now="")
-
-        def show(line: Iteration) -> None:
-            bars.update(task, completed=line.number, now=f"logL {line.log_likelihood:.4f}")
-
-        yield show
-
-
 _SOLVERS: Mapping[str, type[Newton] | type[Ipopt]] = {"newton": Newton, "ipopt": Ipopt}
 
 
@@ -265,18 +230,19 @@ class Estimation:
 
     order: Annotated[
         int | None,
-        Option("--order", help="Points of a collocation segment, 2 is the trapezoid; default: 4, or the saved fit's."),
+        Option("--order", help="Collocation points of a segment (2: trapezoidal rule); default: 4, or as saved."),
     ] = None
     start: Annotated[
-        list[str] | None, Option("--start", help="Start value of a parameter or state.", metavar="NAME=VALUE")
+        list[str] | None, Option("--start", help="Start value of a parameter or a state.", metavar="NAME=VALUE")
     ] = None
     fix: Annotated[
         list[str] | None,
-        Option("--fix", help="Fixes a parameter at its start, or at a value.", metavar="NAME[=VALUE]"),
+        Option("--fix", help="Fix a parameter at its start value, or at VALUE.", metavar="NAME[=VALUE]"),
     ] = None
     solver: Annotated[str, Option("--solver", help="newton or ipopt.", metavar="NAME")] = "newton"
     iterations: Annotated[
-        int | None, Option("--iterations", help="The most iterations; default: the solver's.", metavar="N")
+        int | None,
+        Option("--iterations", help="Maximum number of iterations; default: that of the solver.", metavar="N"),
     ] = None
 
     def __post_init__(self) -> None:
@@ -309,16 +275,15 @@ class Estimation:
         mesh: Transcription | FilterError = Collocation(order=4 if self.order is None else self.order)
         if before is not None and self.order is None:
             mesh = before.transcription
-        with progress_bar(model.name, solver.max_iterations) as watch:
-            return estimate(
-                model,
-                data,
-                transcription=mesh,
-                noise=None if before is None else before.noise,
-                start=begin,
-                solver=None if isinstance(mesh, FilterError) else solver,  # the filter-error method has its own
-                progress=watch,
-            )
+        return estimate(
+            model,
+            data,
+            transcription=mesh,
+            noise=None if before is None else before.noise,
+            start=begin,
+            solver=None if isinstance(mesh, FilterError) else solver,  # the filter-error method has its own
+            progress=True,
+        )
 
 
 def _with_fixed(model: Model, fixed: Mapping[str, float | None]) -> Model:

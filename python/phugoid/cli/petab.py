@@ -23,19 +23,24 @@ __all__ = ["petab"]
 def petab(
     problem: Annotated[Path, typer.Argument(help="The YAML file of the problem.", metavar="PROBLEM.yaml")],
     starts: Annotated[int, typer.Option("--starts", help="Number of starts; 0 estimates from the nominal point.")] = 10,
-    seed: Annotated[int, typer.Option("--seed", help="Of the random starts.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the random starts.")] = 0,
     screened_from: Annotated[
-        int | None, typer.Option("--screened-from", help="Draws and simulates so many, and takes the best of them.")
+        int | None,
+        typer.Option("--screened-from", help="Number of random starts to simulate, of which the best are taken."),
     ] = None,
     time_limit: Annotated[
-        float | None, typer.Option("--time-limit", help="Most time for all starts together, in s.")
+        float | None, typer.Option("--time-limit", help="Time limit for all starts together, in s.")
     ] = None,
-    time_limit_each: Annotated[float, typer.Option("--time-limit-each", help="Most time for one start, in s.")] = 120.0,
-    jobs: Annotated[int | None, typer.Option("--jobs", help="Starts at a time; default: one a core.")] = None,
+    time_limit_each: Annotated[
+        float, typer.Option("--time-limit-each", help="Time limit for each start, in s.")
+    ] = 120.0,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", help="Number of starts in parallel; default: number of cores.")
+    ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Writes a parameter table of PEtab with the best estimate.")
+        Path | None, typer.Option("--out", help="Write the best estimate as a PEtab parameter table.")
     ] = None,
-    plot: Annotated[Path | None, typer.Option("--plot", help="Writes the waterfall figure here.")] = None,
+    plot: Annotated[Path | None, typer.Option("--plot", help="Write the waterfall figure.")] = None,
     *,
     json: JsonOption = False,
 ) -> int:

@@ -48,7 +48,7 @@ BAD_INPUT = 2
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
-_DEBUG = Annotated[bool, typer.Option("--debug", help="Shows the traceback of an error.")]
+_DEBUG = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
 
 
 def annotations_of(declared: Any) -> dict[str, Any]:

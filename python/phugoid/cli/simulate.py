@@ -36,11 +36,11 @@ def simulate(
     ] = None,
     initial: Annotated[
         list[str] | None,
-        typer.Option("--initial", help="State at the first sample; default: the fit's, as measured, or 0."),
+        typer.Option("--initial", help="Initial state, NAME=VALUE; default: as in the fit, as measured, or 0."),
     ] = None,
     *,
     reading: Reading,
-    out: Annotated[Path | None, typer.Option("--out", help="Writes the CSV here instead of on stdout.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Write the CSV to this file instead of stdout.")] = None,
     json: JsonOption = False,
 ) -> None:
     """Simulate a model over the inputs of a data file: a CSV of time, inputs, outputs and states."""

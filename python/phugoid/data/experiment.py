@@ -9,13 +9,12 @@ from __future__ import annotations
 import copy
 import warnings
 from collections.abc import Collection, Mapping, Sequence
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import ByName, DataError, listing, refuse_attribute
+from ..errors import DataError, ReadOnly, listing, refuse_attribute
 from ..notebook import bullets, channels_table, notebook_page
 from ..tabular import experiment_dataset, experiment_frame
 from . import checked
@@ -105,22 +104,22 @@ class Experiment(Preprocessing):
     @property
     def inputs(self) -> Mapping[str, FloatArray]:
         """The channels given as inputs: name -> (N,), read-only."""
-        return MappingProxyType(ByName("input", self._inputs))
+        return ReadOnly("input", self._inputs)
 
     @property
     def outputs(self) -> Mapping[str, FloatArray]:
         """The channels given as outputs: name -> (N,), read-only; NaN where a sample is missing."""
-        return MappingProxyType(ByName("output", self._outputs))
+        return ReadOnly("output", self._outputs)
 
     @property
     def channels(self) -> Mapping[str, FloatArray]:
         """The columns that may serve as inputs or outputs: name -> (N,), read-only."""
-        return MappingProxyType(ByName("channel", self._channels))
+        return ReadOnly("channel", self._channels)
 
     @property
     def units(self) -> Mapping[str, str]:
         """Units of the channels where known (from the file's header, or as given)."""
-        return MappingProxyType(self._units)
+        return ReadOnly("unit of channel", self._units)
 
     def signal(self, name: str) -> Signal | None:
         """Return how an input was sampled at times of its own, and what is taken of it.

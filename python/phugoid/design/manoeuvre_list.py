@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, overload
 
 from ..data.experiment import Experiment
 from ..errors import ByName, DataError, OptionError
-from ..figures import INPUT, SERIES, WIDTH, labelled, plain, styled
+from ..figures import INPUT, SERIES, WIDTH, Panels, labelled, plain, styled
 from ..notebook import notebook_page, table
 from ..parameters import text_table
 from ..tabular import package
@@ -164,7 +164,7 @@ class Manoeuvres(Sequence[Manoeuvre]):
                         text = f"{i} {m.kind}" if wide else str(i)
                         axis.text(m.start, 1.0, text, transform=axis.get_xaxis_transform(), fontsize=6, va="bottom")
             grid[-1, 0].set_xlabel("time, s")
-        return figure, axes
+        return figure, Panels(axes)
 
     def _repr_html_(self) -> str:
         return notebook_page(self._record.name, table(*self._rows()), note=self._counts())

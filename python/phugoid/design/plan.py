@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError, UnknownName, did_you_mean
-from ..figures import LIMIT, SERIES, WIDTH, labelled, plain, styled
+from ..figures import LIMIT, SERIES, WIDTH, Panels, labelled, plain, styled
 from ..notebook import Rows, overview, sparkline
 from ..parameters import Estimates, correlation_matrix, text_table
 from ..records import Record
@@ -394,7 +394,7 @@ def _plot(plans: Sequence[Plan]) -> tuple[Figure, dict[str, Axes]]:
         rows[-1].set_xlabel("time, s")
         left.align_ylabels(list(rows))
         axes["errors"] = _errors(right.subplots(), plans)
-    return figure, axes
+    return figure, Panels(axes)
 
 
 def _histories(axes: Mapping[str, Axes], p: Plan, colour: str) -> None:

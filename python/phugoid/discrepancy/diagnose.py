@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
@@ -15,6 +16,7 @@ from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, EvaluationError, ModelError, OptionError, did_you_mean, some
 from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult
+from ..progress import StatusLine
 from ..sensitivities.tangents import collocated
 from ..solvers import Deadline, check_time, interrupts, limited, one_blas_thread
 from ..validation import shared
@@ -103,7 +105,7 @@ def check_size(base: Refit) -> None:
     for name, count in zip(linear.model.output_names, linear.counts, strict=True):
         if count < _FEWEST:
             raise DataError(
-                f"diagnose: output '{name}' has {count} samples, too few to tell noise from misfit ({_FEWEST})"
+                f"diagnose: output '{name}' has {count} samples, too few to distinguish noise from misfit ({_FEWEST})"
             )
     unknowns = linear.n_unknowns
     if linear.n_rows < _EACH * unknowns:
@@ -177,13 +179,13 @@ def candidates_given(fit: FitResult, given: Any, base: Refit) -> list[Candidate]
     names = [c.name for c in listed]
     twice = [n for n in dict.fromkeys(names) if names.count(n) > 1]
     if twice:
-        raise OptionError(f"diagnose: candidate '{twice[0]}' is there twice")
+        raise OptionError(f"diagnose: candidate '{twice[0]}' is given twice")
     return listed
 
 
 _OF_THESE_RECORDS = (
-    "Of the records of the fit alone: {}. With that as it was fitted, the simulation of the validation records gets no "
-    "better, and the extended model is without."
+    "Only in the records of the fit: {}. With it, the simulation of the validation records does not improve; the "
+    "extended model does not contain it."
 )
 
 
@@ -458,19 +460,29 @@ def _shown(progress: Any) -> Any:
         return nullcontext(progress)
     if not progress:
         return nullcontext(lambda _: None)
-    return _Status()
+    return _steps_shown()
 
 
-class _Status:
-    def __enter__(self) -> Callable[[str], None]:
-        from rich.console import Console  # not at import: it takes its time
+# Seconds between steps that are shown where each takes a line.
+_EVERY = 5.0
 
-        self._status = Console(stderr=True).status("diagnose")
-        self._status.__enter__()
-        return lambda text: self._status.update(text)
 
-    def __exit__(self, *error: Any) -> None:
-        self._status.__exit__(*error)
+@contextmanager
+def _steps_shown() -> Iterator[Callable[[str], None]]:
+    """Yield a function to call with each step of a diagnosis: it shows the step, and the time since the first."""
+    line, began, shown = StatusLine(), time.monotonic(), -math.inf
+
+    def show(text: str) -> None:
+        nonlocal shown
+        now = time.monotonic()
+        if line.is_overwritten or now - shown > _EVERY:
+            shown = now
+            line.show(f"diagnose, {now - began:.0f} s: {text}")
+
+    try:
+        yield show
+    finally:
+        line.keep()
 
 
 def _notes(
@@ -483,17 +495,26 @@ def _notes(
     most: int,
 ) -> tuple[str, ...]:
     if scan is None:
-        return (f"{_EARLY[ended]} before the {len(listed)} candidates were scanned: only the misfit is told.",)
-    notes = [f"{len(listed)} candidates, {len(scan.effects)} with their shapes, were scanned."]
+        return (f"{_EARLY[ended]} before the {len(listed)} candidates were scanned: only the misfit is reported.",)
+    notes = [f"{len(listed)} candidates were scanned, with {len(scan.effects)} values of their shape parameters."]
     if scan.lost:
         notes.append(f"Indistinguishable from parameters of the model: {some(scan.lost, _LOST_NAMED)}.")
     if others:
         what = "sensor biases" if free is None else ", ".join(free) or "nothing else"
-        notes.append(f"Gains were measured on {', '.join(e.name for e in others)}, with first states and {what} free.")
+        notes.append(
+            f"Gains were computed on {', '.join(e.name for e in others)}, with initial states and {what} re-estimated."
+        )
     else:
-        notes.append("Gains were measured on a quarter of the record at a time, predicted from the others.")
+        notes.append(
+            "Gains were computed by cross-validation: each quarter of the record was predicted from the others."
+        )
     if len(final.candidates) >= most:
-        notes.append(f"The search ends after {most} findings: diagnose the extended fit for what is left.")
+        notes.append(f"The search ends after {most} findings: diagnose the extended fit to continue.")
+    if not final.fit.model.quantity_names:
+        notes.append(
+            "The model declares no quantities. Candidates for a force or a moment are tried, in all equations at once, "
+            "where it is declared by m.quantities(...)."
+        )
     if ended:
-        notes.append(f"{_EARLY[ended]}: what it had found until then is here.")
+        notes.append(f"{_EARLY[ended]}: the results up to then are given.")
     return tuple(notes)

@@ -367,7 +367,7 @@ def _invert(
         if (values < -1e-4).any():
             warnings.append(f"not a proper maximum: the likelihood grows from here in some direction of {listed}")
         else:
-            warnings.append(f"{listed} cannot be told apart with these data: fix one of them, or give it a prior")
+            warnings.append(f"{listed} cannot be distinguished with these data: fix one of them, or give it a prior")
             status = "unidentifiable"
         keep = ~involved
         free, block = free[keep], block[np.ix_(keep, keep)]

@@ -25,6 +25,7 @@ from typing import Any, TypeAlias
 from ..errors import OptionError, check_progress
 from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult, dataset
+from ..progress import StatusLine, bar, remaining
 from ..solvers import Deadline, check_time, interrupts
 from ..solvers.newton import Newton
 from .starts import Outcome, Problem
@@ -350,20 +351,24 @@ def _watching(progress: bool | Watch, title: str, total: int, done: tuple[Outcom
     if not progress:
         yield lambda outcome: None
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     reached = [o.log_likelihood for o in done if o.at_optimum]
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, TextColumn("{task.fields[best]}"), console=Console(stderr=True)) as bar:
-        task = bar.add_task(title, total=total, completed=len(done), best="")
+    line, began, count = StatusLine(), time.monotonic(), len(done)
+    every = 1 if line.is_overwritten else max(total // 10, 1)
 
-        def advance(outcome: Outcome) -> None:
-            if outcome.at_optimum:
-                reached[:] = [max([*reached, outcome.log_likelihood])]
-            bar.update(task, advance=1, best=f"best logL {reached[0]:.3f}" if best and reached else "")
+    def advance(outcome: Outcome) -> None:
+        nonlocal count
+        count += 1
+        if outcome.at_optimum:
+            reached[:] = [max([*reached, outcome.log_likelihood])]
+        if count % every == 0 or count == total:
+            left = remaining(began, count - len(done), total - len(done))
+            good = f"best logL {reached[0]:.3f}" if best and reached else ""
+            line.show("  ".join(part for part in (title, bar(count, total), left, good) if part))
 
+    try:
         yield advance
+    finally:
+        line.keep()
 
 
 NEAR = Newton(regression=False)

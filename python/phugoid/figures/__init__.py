@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import ByName
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -30,6 +32,7 @@ __all__ = [
     "STYLE",
     "TOLERANCE",
     "WIDTH",
+    "Panels",
     "figure_of",
     "headline",
     "labelled",
@@ -79,6 +82,20 @@ STYLE: dict[Any, Any] = {
 
 WIDTH = 7.2
 """Inches: between the margins of an A4 page."""
+
+
+class Panels(ByName[Any]):
+    """The axes of a figure by name, whose names alone are printed, as where a cell of a notebook ends with a plot.
+
+    >>> Panels({"q": None, "q residual": None})
+    <axes: q, q residual>
+    """
+
+    def __init__(self, axes: Mapping[str, Axes | None]) -> None:
+        super().__init__("panel", axes)
+
+    def __repr__(self) -> str:
+        return f"<axes: {', '.join(self)}>"
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..errors import DataError, OptionError, UnknownName, listing
 from ..fit_result import FitResult
 from ..parameters import Estimate, plus_minus
-from . import GREY, MEASURED, MODEL, RESIDUAL, RULE, SERIES, STATE, WIDTH, plain, styled
+from . import GREY, MEASURED, MODEL, RESIDUAL, RULE, SERIES, STATE, WIDTH, Panels, plain, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -92,7 +92,7 @@ def plot_parameters(
         figure.suptitle(plain(f"{title}: parameters" if title else "parameters"), x=0.01, ha="left", fontsize=9.5)
         if without:
             figure.supxlabel(plain(f"without a standard error: {', '.join(without)}"), fontsize=6.5, x=0.01, ha="left")
-    return figure, {"parameters": axis}
+    return figure, Panels({"parameters": axis})
 
 
 _Interval = tuple[float, float] | None  # deviation, and half of the interval's width, on the scale of its row
@@ -300,7 +300,7 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
             axis.set_xlabel("iteration")
         status = f"{fit.model.name}: {fit.status} after {fit.iterations} iterations, {fit.time:.2g} s"
         figure.suptitle(plain(status), x=0.01, ha="left", fontsize=9.5)
-    return figure, axes
+    return figure, Panels(axes)
 
 
 def _consecutive(numbers: Sequence[int]) -> _Array:

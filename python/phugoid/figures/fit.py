@@ -25,6 +25,7 @@ from . import (
     STATE,
     TOLERANCE,
     WIDTH,
+    Panels,
     figure_of,
     headline,
     labelled,
@@ -285,7 +286,7 @@ def _draw(
                 draw_residual(panels[f"{name} residual"], record, name, sigma.get(name), tolerances.get(name))
         if axes is None:
             _finish(figure, panels, title)
-    return figure, panels
+    return figure, Panels(panels)
 
 
 def _layout(record: Record, channels: Sequence[str]) -> tuple[Figure, dict[str, Axes]]:

@@ -20,6 +20,7 @@ from ..figures import (
     RESIDUAL,
     STATE,
     WIDTH,
+    Panels,
     figure_of,
     headline,
     plain,
@@ -94,7 +95,7 @@ def plot_frequency_response(
         panels[panel_names[-1]].set_xlabel("frequency, Hz")
         if axes is None:
             _finish(figure, panels["magnitude"], f"{empirical.output} from {empirical.input}")
-    return figure, panels
+    return figure, Panels(panels)
 
 
 def _layout(panel_names: list[str], rows: int) -> dict[str, Axes]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..estimation.starts import Outcome
-from ..figures import GREY, INPUT, MEASURED, ORANGE, PURPLE, RULE, STATE, WIDTH, figure_of, headline, styled
+from ..figures import GREY, INPUT, MEASURED, ORANGE, PURPLE, RULE, STATE, WIDTH, Panels, figure_of, headline, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -139,7 +139,7 @@ def plot_waterfall(
             _draw_failures(above, counts, rank)
         axis.set_xlabel("starts, best first")
         headline(figure, left / WIDTH, title)
-    return figure, axes
+    return figure, Panels(axes)
 
 
 def _draw_optima(axis: Axes, outcomes: Sequence[Outcome], optima: Sequence[Optimum]) -> int:

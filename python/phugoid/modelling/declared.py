@@ -125,7 +125,7 @@ def read_names(kind: str, names: tuple[str, ...], units: Mapping[str, Any]) -> d
     found = dict(given)
     if len(found) < len(given):
         listed = [name for name, _ in given]
-        raise ModelError(f"{kind}: '{next(n for n in listed if listed.count(n) > 1)}' is there twice")
+        raise ModelError(f"{kind}: '{next(n for n in listed if listed.count(n) > 1)}' is given twice")
     return found
 
 

@@ -371,7 +371,7 @@ def _warning(names: Sequence[str], index: float) -> str:
         )
     if len(names) == 1:
         return f"{listed} has no influence on the equations with these data, and stays at its start"
-    return f"{listed} cannot be told apart with these data: fix one of them, or give it a prior"
+    return f"{listed} cannot be distinguished with these data: fix one of them, or give it a prior"
 
 
 def _joined(records: Sequence[Record], name: str) -> tuple[_Array, _Array]:

@@ -9,7 +9,7 @@ from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from ..errors import OptionError, did_you_mean, is_whole, listing
-from ..figures import MEASURED, MODEL, RULE, STATE, WIDTH, plain, styled
+from ..figures import MEASURED, MODEL, RULE, STATE, WIDTH, Panels, plain, styled
 from ..notebook import notebook_page, paragraph, table
 from ..parameters import text_table
 from .subsets import SubsetStatistics
@@ -201,7 +201,7 @@ class SelectedTerms:
             axis.set_ylabel(f"error, {self.unit}" if self.unit else "error")
             axis.set_title(plain(self._title), loc="left", fontsize=9.0)
             axis.legend(frameon=False)
-        return figure, {"error": axis}
+        return figure, Panels({"error": axis})
 
     def _repr_html_(self) -> str:
         return notebook_page(self._title, table(*self._rows()), paragraph(" ".join(self._sentences())))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import check_time_limit, part, whole
+from ..progress import StatusLine
 
 __all__ = [
     "HINTS",
@@ -35,7 +35,7 @@ __all__ = [
 
 
 HINTS = {
-    "converged": "a local optimum was found; other starts (or ph.multistart) tell whether it is the global one",
+    "converged": "a local optimum was found; other starts (ph.multistart) show whether it is the global one",
     "acceptable": "stopped at an acceptable point: tolerances were not all met, often for want of precision; "
     "check the standard errors",
     "interrupted": "stopped by the user; this is the best point so far, and start=fit goes on from it",
@@ -94,30 +94,26 @@ Watch = Callable[[Iteration], None]
 
 
 class Progress:
-    """Prints the iterations: one line that is overwritten on a terminal, or every tenth iteration elsewhere."""
+    """Shows the iterations: one line that is overwritten, or every tenth iteration where lines are not."""
 
     def __init__(self, title: str) -> None:
         self.title = title
-        self.terminal = sys.stderr.isatty()
+        self.line = StatusLine()
         self.shown = -1
 
     def __call__(self, line: Iteration) -> None:
-        text = (
-            f"{self.title}: iteration {line.number:4d}  logL {line.log_likelihood:16.6f}  "
-            f"defect {line.defect:8.1e}  dual {line.dual:8.1e}  step {line.step:7.1e}"
-        )
-        if self.terminal:
-            if line.number < self.shown:  # another pass
-                print(file=sys.stderr)
-            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
-        elif line.number % 10 == 0:
-            print(text, file=sys.stderr, flush=True)
+        if line.number < self.shown:  # another pass
+            self.line.keep()
+        if self.line.is_overwritten or line.number % 10 == 0:
+            self.line.show(
+                f"{self.title}: iteration {line.number:4d}  logL {line.log_likelihood:16.6f}  "
+                f"defect {line.defect:8.1e}  dual {line.dual:8.1e}  step {line.step:7.1e}"
+            )
         self.shown = line.number
 
     def close(self) -> None:
         """End the line."""
-        if self.terminal and self.shown >= 0:
-            print(file=sys.stderr)
+        self.line.keep()
 
     @staticmethod
     @contextmanager

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError, UnknownName, check_progress, did_you_mean, part
-from ..figures import BAND, MEASURED, MODEL, SPAN, WIDTH, labelled, plain, styled
+from ..figures import BAND, MEASURED, MODEL, SPAN, WIDTH, Panels, labelled, plain, styled
 from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..initialisation import spread
@@ -272,7 +272,7 @@ def plot_bands(bands: Any, title: str) -> tuple[Figure, dict[str, Axes]]:
         )
         figure.tight_layout(rect=(0, 0, 1, 1 - 0.42 / height), h_pad=0.4)
         figure.align_ylabels()
-    return figure, axes
+    return figure, Panels(axes)
 
 
 def _draw_bands(axis: Any, bands: Any, name: str) -> None:

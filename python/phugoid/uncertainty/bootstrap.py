@@ -16,7 +16,7 @@ from ..errors import DataError, OptionError, is_whole, part, whole
 from ..estimation import estimate
 from ..estimation.starts import Outcome, Problem, stream
 from ..estimation.workers import common_to, run_all
-from ..figures import BAND, GREY, MEASURED, ORANGE, WIDTH, labelled, plain, styled
+from ..figures import BAND, GREY, MEASURED, ORANGE, WIDTH, Panels, labelled, plain, styled
 from ..filter_error import FilterError
 from ..fit_result import ENDED_WELL, FitResult
 from ..notebook import Rows, overview, sparkline
@@ -199,7 +199,7 @@ def _plot(
             handles, labels = axes[names[0]].get_legend_handles_labels()
             figure.legend(handles, labels, loc="upper right", ncols=3, frameon=False, fontsize=8)
         figure.tight_layout(rect=(0, 0, 1, 1 - 0.28 / figure.get_figheight()))
-    return figure, axes
+    return figure, Panels(axes)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, UnknownName, did_you_mean, joined, listing
-from ..figures import WIDTH, headline, plain, styled
+from ..figures import WIDTH, Panels, headline, plain, styled
 from ..fit_result import FitResult
 from ..notebook import bullets, notebook_page, table
 from ..parameters import correlation_matrix, text_table
@@ -202,7 +202,7 @@ def plot_correlation(fit: FitResult, names: Sequence[str] | None = None) -> tupl
         scale.set_xlabel("correlation", fontsize=7.0, labelpad=1.0)
         title = f"{fit.model.name}: correlation of the estimates"
         headline(figure, 0.1 / width, title)
-    return figure, {"correlation": axis, "scale": scale}
+    return figure, Panels({"correlation": axis, "scale": scale})
 
 
 def _chosen(fit: FitResult, known: Sequence[str], names: Sequence[str] | None) -> list[str]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import OptionError, UnknownName, did_you_mean, listing, part
 from ..estimation.starts import Outcome
 from ..estimation.workers import common_to, run_all
-from ..figures import GREY, MEASURED, ORANGE, WIDTH, labelled, plain, styled
+from ..figures import GREY, MEASURED, ORANGE, WIDTH, Panels, labelled, plain, styled
 from ..fit_result import FitResult
 from ..notebook import Html, Rows, overview, sparkline
 from ..parameters import text_table
@@ -316,7 +316,7 @@ def plot_profiles(profiles: Sequence[Profile], level: float) -> tuple[Figure, di
         height = figure.get_figheight()
         figure.legend(handles=handles, loc="upper right", ncols=3, frameon=False, fontsize=8)
         figure.tight_layout(rect=(0, 0, 1, 1 - 0.28 / height))
-    return figure, axes
+    return figure, Panels(axes)
 
 
 def _draw_profile(axis: Any, p: Profile) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from ...errors import DataError, MissingDependency, PhugoidError, did_you_mean
+from ...errors import DataError, MissingDependency, PhugoidError, nearest
 
 __all__ = ["KINDS", "Column", "Source", "contents", "existing", "load", "reading", "split_unit", "stem"]
 
@@ -73,8 +73,10 @@ def existing(path: Path) -> None:
         if not folder.is_dir():
             raise DataError(f"{path}: there is no such file; there is no folder {folder} either")
         # A record with another number is another record, and one with another ending is no slip of a finger.
-        near = [p.name for p in folder.iterdir() if p.suffix == path.suffix and _digits(p.name) == _digits(path.name)]
-        raise DataError(f"{path}: there is no such file in {folder}.{did_you_mean(path.name, near)}")
+        near = [p.stem for p in folder.iterdir() if p.suffix == path.suffix and _digits(p.name) == _digits(path.name)]
+        meant = nearest(path.stem, near)  # without the ending, which makes any two names alike
+        hint = f" Did you mean '{meant}{path.suffix}'?" if meant else ""
+        raise DataError(f"{path}: there is no such file in {folder}.{hint}")
 
 
 def _digits(name: str) -> str:

@@ -222,7 +222,7 @@ class ExtensionBuilder:
         for name in own:
             if name in self._taken:
                 raise ModelError(
-                    f"{effect.name}: '{name}' is in the model already; has it been extended by this before?"
+                    f"{effect.name}: '{name}' is in the model already; was the model extended by this candidate before?"
                 )
         self._parameters: dict[str, Parameter] = {}
         self._states: dict[str, tuple[str, Expr, Expr]] = {}
@@ -257,7 +257,7 @@ class ExtensionBuilder:
     def late_input(self, of: str, tau: str) -> Expr:
         """Return the symbol of an input that is late by a parameter."""
         if of in self.delays.inputs:
-            raise ModelError(f"{self.effect.name}: the input is late already, by '{self.delays.inputs[of][1]}'")
+            raise ModelError(f"{self.effect.name}: the input is delayed already, by '{self.delays.inputs[of][1]}'")
         name = self._unused(f"{of}_delayed")
         self._inputs[name] = self.old.units.get(of, "")
         self.delays = self.delays.with_input(name, of, tau)
@@ -266,7 +266,7 @@ class ExtensionBuilder:
     def late_output(self, output: str, tau: str) -> None:
         """Says that an output is late by a parameter."""
         if output in self.delays.outputs:
-            raise ModelError(f"{self.effect.name}: the output is late already, by '{self.delays.outputs[output]}'")
+            raise ModelError(f"{self.effect.name}: the output is delayed already, by '{self.delays.outputs[output]}'")
         self.delays = self.delays.with_output(output, tau)
 
     def at(self, place: Place) -> Expr:
@@ -299,14 +299,14 @@ class ExtensionBuilder:
             raise ModelError(f"{self.effect.name}: the model has no input '{name}'.{hint}")
         if not any(name in e.symbols for e in self.equations.values()):
             raise ModelError(
-                f"{self.effect.name}: '{name}' stands in no equation; extend inputs in order of stage, delays last"
+                f"{self.effect.name}: '{name}' is in no equation; extend inputs in order of stage, delays last"
             )
         self.equations = {key: Expr(e.substitute({name: by})) for key, e in self.equations.items()}
 
     def replace_parameter(self, name: str, by: Any) -> None:
         """Put an expression for a parameter wherever it stands."""
         if not any(name in e.symbols for e in self.equations.values()):
-            raise ModelError(f"{self.effect.name}: '{name}' stands in no equation")
+            raise ModelError(f"{self.effect.name}: '{name}' is in no equation")
         self.equations = {key: Expr(e.substitute({name: by})) for key, e in self.equations.items()}
 
     def model(self) -> Model:

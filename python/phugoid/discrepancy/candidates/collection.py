@@ -63,7 +63,7 @@ class Candidates(Sequence[Candidate]):
             if not isinstance(c, Candidate):
                 raise ModelError(f"candidates: {c!r} is a {type(c).__name__}, not a candidate")
             if c.name in self._by_name:
-                raise ModelError(f"candidates: '{c.name}' is there twice")
+                raise ModelError(f"candidates: '{c.name}' is given twice")
             self._by_name[c.name] = c
             for name in c.parameters:
                 if name in parameters:
@@ -343,7 +343,7 @@ def _random(
     random = np.random.default_rng(seed)
     names, quantities = [*model.declared_inputs, *model.state_names], model.quantity_names
     every = [Expr.symbol(name) for name in quantities] + [equations["equation", name] for name in model.state_names]
-    # A delay of an output stands in no equation, which an evaluator takes for a slip: here all stand in the last.
+    # A delay of an output is in no equation, which an evaluator takes for a slip: here all stand in the last.
     every_parameter = [Expr(sum((Expr.symbol(name) for name in model.parameter_names), Expr(0.0)))]
     added = {f"no_output__{i}": e for i, e in enumerate([*every, *wanted, *every_parameter])}
     # Half of them on the positive side: equations may hold a root or a logarithm.

@@ -430,7 +430,7 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
     )
     shows = [v for v in structure.variables if v.symbol in at_once]
     if any(structure.is_position(v) or (shows == [v] and structure.is_angle(v)) for v in shows):
-        words = f"the sensor of {y} has play: after a turn it stays until the motion has gone on by twice the estimate"
+        words = f"the sensor of {y} has backlash: after a reversal it stays until the motion exceeds twice the estimate"
         key = (output_key(y),)
         yield Backlash(
             f"{shown}:backlash", place, words, "backlash", scales, (), (names(f"backlash_{y}"),), variables=key
@@ -471,7 +471,7 @@ def _on_input(structure: ModelStructure, variable: Variable, scales: Scales, nam
             Backlash,
             "backlash",
             f"backlash_{u}",
-            f"{u} has backlash: after a reversal it has no effect until it has moved by twice the estimate",
+            f"{u} has backlash: after a reversal it has no effect until its motion exceeds twice the estimate",
         ),
         (RateLimit, "rate_limit", f"rate_limit_{u}", f"the rate of {u} is limited"),
         (InputLag, "lag", f"lag_{u}", f"{u} acts with a lag (first-order actuator)"),

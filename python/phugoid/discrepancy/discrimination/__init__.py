@@ -54,7 +54,7 @@ class DiscriminatingManoeuvre:
     def __str__(self) -> str:
         length = number(float(self.record.t[-1] - self.record.t[0]))
         return (
-            f"A {self.manoeuvre}, recorded for {length} s, would be expected to distinguish it from "
+            f"A {self.manoeuvre}, recorded for {length} s, is expected to distinguish it from "
             f"{joined(tuple(self.gains), 'and')} (expected gain in log-likelihood {number(min(self.gains.values()))}, "
             f"this record gives {self.here:.1f})."
         )
@@ -81,8 +81,8 @@ class Advice:
         if self.alike and self.tried:
             sentences.append(
                 f"No manoeuvre of {joined(self.tried, 'or')} tried here ({KINDS}; {number(self.length)} s, up to "
-                f"{GREATEST:g} times as far as in this record) would distinguish it from "
-                f"{joined(self.alike, 'or')}: they act alike."
+                f"{GREATEST:g} times the amplitude of this record) would distinguish it from "
+                f"{joined(self.alike, 'or')}: their effects are the same."
             )
         return " ".join(sentences)
 

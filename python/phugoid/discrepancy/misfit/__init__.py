@@ -167,11 +167,13 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
     unit = units.get(name, "")
     n, rms = r.size, float(np.sqrt(np.mean(r**2)))
     if rms == 0.0:
-        return ChannelMisfit(name, unit, n, rms, notes=(f"{name} is matched exactly: there is no residual to look at",))
+        return ChannelMisfit(
+            name, unit, n, rms, notes=(f"{name} is matched exactly: there are no residuals to analyse",)
+        )
     if float(np.ptp(r)) <= _ROUNDING * rms:
         return ChannelMisfit(name, unit, n, rms, noise=0.0, mean=float(r.mean()), mean_error=0.0)
     if n < _ENOUGH:
-        note = f"{name} has {n} samples: too few to tell noise from misfit ({_ENOUGH} are needed)"
+        note = f"{name} has {n} samples: too few to distinguish noise from misfit ({_ENOUGH} are needed)"
         return ChannelMisfit(name, unit, n, rms, notes=(note,))
     series, others = same_rate(every)
     notes = [_on_outliers(name, every)] if any(s.outliers.size for s in every) else []

@@ -19,6 +19,7 @@ from ...figures import (
     RESIDUAL,
     SPAN,
     WIDTH,
+    Panels,
     labelled,
     plain,
     squared,
@@ -73,7 +74,7 @@ class Misfit:
         lines = [self.channels[name].summary() for name in self.worst]
         notes = list(dict.fromkeys(note for name in self.worst for note in self.channels[name].notes))
         if not self.fit.converged:
-            notes.append(f"the fit is no optimum ({self.fit.status}): another one may leave other residuals")
+            notes.append(f"the fit is not at an optimum ({self.fit.status}): another one may leave other residuals")
         return "\n".join([*lines, *(f"Note: {note}." for note in notes)])
 
     def plot(self, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
@@ -177,7 +178,7 @@ def _figure(misfit: Misfit, channels: Sequence[str] | None) -> tuple[Figure, dic
             _draw_autocorrelation(panels[f"{name} autocorrelation"], channel)
             _draw_spectrum(panels[f"{name} spectrum"], channel)
             _draw_regime(panels[f"{name} regime"], channel)
-    return figure, panels
+    return figure, Panels(panels)
 
 
 def _key(part: Any, misfit: Misfit, names: Sequence[str]) -> None:

@@ -50,7 +50,7 @@ def what_stands_out(c: Any) -> str:
         parts.append(_follows(c.follows))
     if c.regime is None and c.follows is None:
         parts += _perhaps(c)
-    return "; ".join(parts) or "coloured, but no time, regime or frequency stands out"
+    return "; ".join(parts) or "coloured, without a distinct time, regime or frequency"
 
 
 def _follows(found: Dependence) -> str:
@@ -63,9 +63,9 @@ def _times(c: Any) -> str:
     if math.isnan(c.ratio):
         return ""
     if c.ratio > 1000.0:
-        return ", with no noise in it"
+        return ", without measurable noise"
     if c.ratio < 1.05:
-        return ", as much as its noise"
+        return ", equal to its noise"
     return f", {c.ratio:.2g} times its noise ({percent(c.predictable)} of its power predictable)"
 
 
@@ -74,7 +74,7 @@ def _perhaps(c: Any) -> list[str]:
     most = c.telling
     if most is None or most.share < _MUCH:
         return []
-    return [f"maybe with {most.variable} ({percent(most.share)} of its power, but slow noise could do that)"]
+    return [f"maybe with {most.variable} ({percent(most.share)} of its power, which slow noise could explain as well)"]
 
 
 def time_phrase(c: Any) -> str:

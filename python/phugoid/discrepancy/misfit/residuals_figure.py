@@ -17,6 +17,7 @@ from ...figures import (
     MEASURED,
     RESIDUAL,
     WIDTH,
+    Panels,
     headline,
     labelled,
     plain,
@@ -112,7 +113,7 @@ def plot_residuals(
             f"{fit.model.name}: {chosen.name}, {_called(chosen)}s",
             bool(chosen.innovations),
         )
-    return figure, axes
+    return figure, Panels(axes)
 
 
 def _called(record: Record) -> str:

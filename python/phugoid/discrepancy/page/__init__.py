@@ -55,7 +55,7 @@ def headline(diagnosis: DiagnosisResult) -> str:
     findings, verdict = diagnosis.findings, diagnosis.verdict
     named = [f for f in findings if f.status == "named"]
     if not findings and diagnosis.interrupted:
-        return "The search was interrupted before anything was found: that says nothing about what is missing."
+        return "The search was interrupted before it had a result: nothing can be concluded about the model."
     if named:
         *first, last = (alias_set(f) for f in named)
         text = f"The model misses {', '.join(first)}{' and ' if first else ''}{last}."
@@ -66,18 +66,18 @@ def headline(diagnosis: DiagnosisResult) -> str:
         most = max(channels, key=lambda c: c.predictable)
         text = (
             f"No cause was found, but the residuals are not white: {percent(most.predictable)} of their power in "
-            f"{most.name} follows from what came before. No candidate explains them better than coloured noise does: "
-            "they are such noise, a disturbance, or something that is none of these candidates."
+            f"{most.name} can be predicted from preceding samples. No candidate explains them better than coloured "
+            "noise does: they are such noise, a disturbance, or an effect that is not among the candidates."
         )
         if most.predictable > _MOSTLY and most.ratio > 1.0:
             text += f" The residual of {most.name} is {number(most.ratio, 2)} times its noise."
     else:
-        text = "Nothing significant is missing from the model, as far as these data and these candidates tell."
+        text = "No effect that these data and candidates could show is missing from the model."
     text += _minor([f for f in findings if f.status == "minor"])
     surrogates = [f.cause for f in findings if f.status == "surrogate"]
     if surrogates:
         what = "are surrogates, which fit" if len(surrogates) > 1 else "is a surrogate, which fits"
-        text += f" {', '.join(surrogates)} {what} in place of something else: the cause itself may be another."
+        text += f" {', '.join(surrogates)} {what} but may represent another cause."
     if named:
         text += _remaining(diagnosis)
     return text
@@ -89,7 +89,7 @@ def _minor(findings: Sequence[Finding]) -> str:
     open_ = [f.cause for f in findings if f.explained > AssessmentSettings.minor]
     text = ""
     if little:
-        text += f" Minor: {', '.join(little)}, which {'explains' if len(little) == 1 else 'explain'} next to nothing."
+        text += f" Minor: {', '.join(little)}, which {'explains' if len(little) == 1 else 'explain'} very little."
     if open_:
         what = "is significant, but what it explains" if len(open_) == 1 else "are significant, but what they explain"
         text += f" {', '.join(open_)} {what} of data held out may be chance."
@@ -104,8 +104,8 @@ def _remaining(diagnosis: DiagnosisResult) -> str:
         return ""
     most = max((f.explained for f in diagnosis.findings if f.status == "named"), default=0.0)
     if not channels and most > _NEARLY_ALL:
-        return " What is left of it is small, but more than noise, and its cause is not established."
-    text = " A part of the misfit stays without an established cause"
+        return " The remaining misfit is small but significant, and its cause is not established."
+    text = " A part of the misfit has no established cause"
     if channels:
         worst = max(channels, key=lambda c: c.ratio)
         text += f": with what is named, the residual of {worst.name} is {number(worst.ratio, 2)} times its noise"
@@ -129,7 +129,7 @@ def value_of(finding: Finding) -> str:
     text = repr(Estimate("", finding.coefficient, error, finding.unit)).removeprefix(" = ")
     low, high = finding.interval
     if not math.isfinite(error):
-        return f"{text}, at the edge of its range, and so without a standard error"
+        return f"{text}, at the limit of its range, therefore without a standard error"
     if math.isfinite(low) and math.isfinite(high):
         text += f" (95 %: {' to '.join(_ends(low, high))})"
     return text
@@ -187,7 +187,7 @@ def finding_lines(finding: Finding) -> list[str]:
     if finding.cause:
         lines += _estimated(finding)
     if finding.status == "surrogate":
-        lines.append("A surrogate: it fits, but may stand in for another cause.")
+        lines.append("A surrogate: it fits the data, but may represent another cause.")
     if math.isfinite(finding.explained):
         lines.append(_explained_in_words(finding))
     gain = f"Gain in log-likelihood, residuals whitened: {with_sign(finding.gain)} (threshold {finding.threshold:.1f})"
@@ -196,7 +196,9 @@ def finding_lines(finding: Finding) -> list[str]:
     if math.isfinite(finding.gain):
         lines.append(f"{gain}.")
     if finding.cause and finding.held_out_gain <= 0.0:
-        lines.append("Beside the other causes it does not help to predict the data held out: doubt it.")
+        lines.append(
+            "Together with the other causes it does not improve the prediction of held-out data; it is doubtful."
+        )
     if finding.aliases:
         rivals = [
             f"{name} ({with_sign(finding.rivals[name])})" if name in finding.rivals else name
@@ -205,7 +207,7 @@ def finding_lines(finding: Finding) -> list[str]:
         doubted = "is not proved" if finding.ringing else "does not predict"
         told = "The data do not distinguish it from" if finding.cause else f"What fits, but {doubted}"
         if finding.curve and not finding.cause:
-            told = "Its name would be"
+            told = "Name of this candidate"
         lines.append(f"{told}: {', '.join(rivals)}.")
     if finding.advice:
         lines.append(finding.advice)
@@ -271,12 +273,12 @@ def _nearest(diagnosis: DiagnosisResult) -> str:
     """Return how near the best candidate came."""
     best = max(diagnosis.ranking, key=lambda s: s.statistic)
     text = (
-        f"Of {len(diagnosis.ranking)} candidates the nearest is {best.name}, with {best.statistic:.1f} of the "
-        f"{diagnosis.threshold:.1f} that are needed in twice the log-likelihood"
+        f"The best of {len(diagnosis.ranking)} candidates is {best.name}, with a gain of {best.statistic:.1f} in "
+        f"twice the log-likelihood (threshold {diagnosis.threshold:.1f})"
     )
     if best.statistic <= diagnosis.threshold:
         return f"{text}."
-    return f"{text}, to first order; fitted in full, or on data held out, it did not prove itself."
+    return f"{text} to first order. It was rejected when it was estimated with the model, or by held-out data."
 
 
 def _filled(text: str, first: str, rest: str | None = None) -> str:
@@ -453,7 +455,7 @@ def _open(diagnosis: Any) -> list[str]:
     texts = [line for f in findings if not f.cause for line in finding_lines(f)]
     surrogates = [f.cause for f in findings if f.status == "surrogate" and f.cause]
     if surrogates:
-        texts.append(f"{', '.join(surrogates)} may stand for a cause that is not among the candidates.")
+        texts.append(f"{', '.join(surrogates)} may represent a cause that is not among the candidates.")
     for f in findings:
         if f.cause and f.aliases:
             texts.append(f"Which of {', '.join([f.cause, *f.aliases])} it is, these data do not show. {f.advice}")

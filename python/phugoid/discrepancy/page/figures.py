@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import DataError, UnknownName, listing
-from ...figures import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, WIDTH, labelled, plain, styled
+from ...figures import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, WIDTH, Panels, labelled, plain, styled
 from ...fit_result import FitResult
 from ...records import Record
 from ..misfit.phrases import number
@@ -95,12 +95,19 @@ def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axe
         left.tick_params(axis="y", length=0.0)
         left.invert_yaxis()
         left.set_xlabel("part of the misfit explained, %")
-        right.set_xlabel("mean square less, %")
+        right.set_xlabel("reduction of mean square, %")
         right.tick_params(axis="y", length=0.0)
         for k, name in enumerate(outputs):  # for the key
             right.plot([], [], linestyle="", marker="o", color=f"C{k}", ms=5.0, label=plain(name))
-        figure.legend(loc="outside upper right", ncols=6, frameon=False, fontsize=7.0)
-    return figure, {"explained": left, "outputs": right}
+        figure.legend(
+            loc="outside upper right",
+            ncols=min(len(outputs), 9),
+            frameon=False,
+            fontsize=7.0,
+            handletextpad=0.1,
+            columnspacing=1.0,
+        )
+    return figure, Panels({"explained": left, "outputs": right})
 
 
 def curve_figure(finding: Finding) -> tuple[Figure, dict[str, Axes]]:
@@ -125,7 +132,7 @@ def curve_figure(finding: Finding) -> tuple[Figure, dict[str, Axes]]:
         axes.axhline(0.0, color=INPUT, linewidth=0.6)
         axes.set_xlabel(plain(what[2:-1]) if what.startswith("f(") else "time, s")
         axes.set_ylabel(f"added to {plain(where)}" if where else "what is missing")
-    return figure, {"curve": axes}
+    return figure, Panels({"curve": axes})
 
 
 def findings_figure(
@@ -183,7 +190,7 @@ def findings_figure(
         axes[-1, 0].set_xlabel(plain(f"time in '{before.name}', s" if len(fit.records) > 1 else "time, s"))
         axes[-1, 0].margins(x=0.01)
         figure.align_ylabels()
-    return figure, panels
+    return figure, Panels(panels)
 
 
 def _fall(before: Record, after: Record) -> float:
@@ -236,7 +243,7 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float) -> tuple[Figure,
         axis.set_xlabel("expected 2 Δ log-likelihood")
         handles = _ranking_key(threshold, any(s.remark for s in shown))
         figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), frameon=False, fontsize=7.0)
-    return figure, {"ranking": axis}
+    return figure, Panels({"ranking": axis})
 
 
 def _ranking_key(threshold: float, remarks: bool) -> list[Any]:
@@ -287,4 +294,4 @@ def gain_figure(gain: Gain, units: Mapping[str, str] | None = None) -> tuple[Fig
         axis.margins(x=0.06, y=0.08)
         axis.set_xlabel("RMS of residuals after, % of before (left of the line is better)")
         figure.legend(loc="outside upper right", ncols=2, frameon=False, fontsize=7.5)
-    return figure, {"gain": axis}
+    return figure, Panels({"gain": axis})

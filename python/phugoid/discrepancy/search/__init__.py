@@ -330,6 +330,6 @@ class Search:
 def _rest_rings(frequencies: Sequence[float]) -> str:
     at = ", ".join(f"{f:.3g}" for f in frequencies)
     return (
-        f"What is left of the residuals rings at {at} Hz, a lightly damped mode of the model: disturbances that come "
-        "through the vehicle do that, and so does a term that the model lacks. Noise as coloured as that hides either."
+        f"The remaining residuals ring at {at} Hz, a lightly damped mode of the model. Disturbances that excite the "
+        "mode cause this, and so does a missing term; noise at this frequency hides either."
     )

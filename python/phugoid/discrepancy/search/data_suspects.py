@@ -278,15 +278,15 @@ def with_remainder(search: Search, result: SearchResult) -> tuple[SearchResult, 
 def words_of_inputs(between: Sequence[RecordedInput], sampled: SampledInputs | None) -> list[str]:
     """Return what was found of inputs between their samples, in words, but for those that are findings."""
     notes = [
-        f"{b.name} is smooth between its samples: all else was sought with cubic splines through them in place of "
-        f"straight lines (interpolation={{'{b.name}': 'cubic'}})."
+        f"{b.name} is smooth between its samples: the search used cubic instead of linear interpolation "
+        f"(interpolation={{'{b.name}': 'cubic'}})."
         for b in between
         if b.kind == "cubic"
     ]
     if sampled is not None:
         jumps = ", ".join(f"{name} in {count} intervals" for name, count in sampled.jumps.items())
         notes.append(
-            f"Inputs change faster than their samples tell ({jumps} of up to {sampled.step:.3g} s): what they were "
-            "halfway through was estimated, and all else was sought with that. Record inputs at a higher rate."
+            f"Inputs change faster than they were sampled ({jumps} of up to {sampled.step:.3g} s): their values at the "
+            "middle of these intervals were estimated, and the search used them. Record inputs at a higher rate."
         )
     return notes

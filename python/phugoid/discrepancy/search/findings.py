@@ -42,15 +42,15 @@ _TURNED = -1.5
 # Records that are listed with their values.
 _LISTED = 6
 _STANDS_IN = (
-    "; but what it leaves is no noise and more than it explains beyond doubt, so that it may stand in for something "
-    "that no candidate describes"
+    "; but the remaining residuals are not noise and exceed what it explains with certainty, so that it may represent "
+    "an effect that no candidate describes"
 )
-_UNPHYSICAL = "; but its coefficient is outside of what is physical"
-_OTHER_UNITS = ", as it is with a wrong sign or in other units"
-_UNEXPLAINED = "the residuals hold more than noise, but no candidate predicts data that were held out"
+_UNPHYSICAL = "; but its coefficient is outside the physical range"
+_OTHER_UNITS = ", as with a wrong sign or other units"
+_UNEXPLAINED = "the residuals are more than noise, but no candidate improves the prediction of held-out data"
 _AGAIN = (
-    "Repeat the same input: what repeats in the residuals is no noise. Then a smaller and a larger one: they tell what "
-    "depends on amplitude."
+    "Repeat the same input: what repeats in the residuals is not noise. Then use a smaller and a larger input: they "
+    "show what depends on amplitude."
 )
 
 
@@ -118,16 +118,16 @@ def no_optimum(fit: FitResult, words: str, likelier: Sequence[Refit], seconds: f
     rms = Refit((), fit).rms
     nothing = ExtensionResult(fit.model, fit, (), Gain(0.0, 0.0, 0.0, math.nan, rms, rms))
     compared = "Only constants and linear terms were" if likelier else "No candidate was"
-    notes = (f"{compared} compared with the records: there is no optimum about which to compare.",)
+    notes = (f"{compared} compared with the records, because no optimum was found to compare at.",)
     return DiagnosisResult(fit, (finding,), (), math.nan, notes, False, seconds, _extension=nothing)
 
 
 def _rings(frequencies: Sequence[float]) -> str:
     at = ", ".join(f"{f:.3g}" for f in frequencies)
     return (
-        f"the residuals ring at {at} Hz, a lightly damped mode of the model: that is a term that it lacks, or "
-        "disturbances that came through the vehicle. Candidates halve the mean square on data held out, but beside "
-        "noise that rings so this is no proof of one"
+        f"the residuals ring at {at} Hz, a lightly damped mode of the model: a term is missing, or disturbances "
+        "excited the mode. Candidates halve the mean square on held-out data, but with noise at this frequency "
+        "that does not prove any of them"
     )
 
 
@@ -174,14 +174,14 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, unit: str) -> 
         size = f"{number(h.noise, 3)}{f' {unit}' if unit else ''}"
         explanation = f"the record of {h.name} has noise of about {size} RMS, which does not act on the vehicle"
         advice = (
-            f"Measure {h.name} better, or filter it without a phase shift before the estimation; all else was sought "
-            "with the noise filtered out."
+            f"Measure {h.name} better, or filter it without a phase shift before the estimation; the rest of the "
+            "search used the filtered input."
         )
     else:
         explanation = (
-            f"{h.name} is held between its samples, as a computer puts out commands, and not joined by straight lines"
+            f"{h.name} is held between its samples, as commands of a computer are, and not linear (zero-order hold)"
         )
-        advice = f"Give the records with interpolation={{'{h.name}': 'hold'}}; all else was sought with it held."
+        advice = f"Give the records with interpolation={{'{h.name}': 'hold'}}; the rest of the search used this."
     return Finding(
         cause=h.cause,
         status="named",
@@ -202,31 +202,31 @@ def finding_of_unsigned_sensor(s: UnsignedSensor) -> Finding:
         cause=s.cause,
         status="named",
         explanation=(
-            f"{s.name} gives the size of what it measures, without its sign; that explains {percent(s.part)} of the "
+            f"{s.name} measures a magnitude, without the sign; this explains {percent(s.part)} of the "
             "misfit of these records"
         ),
         advice=(
-            f"Write the output {s.name} as the absolute value (smooth_abs); all else was sought with that, and the "
-            "residuals that are told are those of that model."
+            f"Write the output {s.name} as the absolute value (smooth_abs); the rest of the search, and "
+            "the residuals shown, are those of that model."
         ),
     )
 
 
 def finding_of_sensor_fault(f: SensorFault) -> Finding:
     """Return a fault of an output's samples as it is told."""
-    gone = f"{percent(f.part)} of the mean square of its residuals is gone without that"
+    gone = f"{percent(f.part)} less mean square of its residuals without that"
     if f.kind == "stuck":
         listed = [f"from {number(a, 4)} to {number(b, 4)} s of '{record}'" for record, a, b in f.spans]
         words = f"{f.name} stays at one value {_first(listed, 'spans')}, though its noise changes it elsewhere; {gone}"
-        advice = "Mark these samples as missing (NaN): all else was sought without them."
+        advice = "Mark these samples as missing (NaN); the rest of the search excluded them."
     elif f.kind == "held":
         words = f"{f.name} is renewed every {number(f.size, 3)} s, and each value is repeated until the next; {gone}"
-        advice = "Mark what is repeated as missing (NaN): all else was sought without it."
+        advice = "Mark the repeated values as missing (NaN); the rest of the search excluded them."
     else:
         listed = [f"at {number(a, 4)} s of '{record}'" for record, a, _ in f.spans]
         turn = "360" if f.size > 10.0 else "2π"
         words = f"{f.name} jumps by a turn ({turn}) {_first(listed, 'places')}; {gone}"
-        advice = f"Take the jumps away (numpy.unwrap, a period of {turn}): all else was sought without them."
+        advice = f"Remove the jumps (numpy.unwrap with a period of {turn}); the rest of the search did so."
     return Finding(cause=f.cause, status="named", explanation=words, advice=advice)
 
 
@@ -246,7 +246,7 @@ def finding_of_record_change(c: RecordChange) -> Finding:
         advice = (
             f"{c.place.name} has the opposite sign in {joined(turned)}: compare its wiring and sign convention."
             if turned
-            else f"Compare units and calibration of {c.place.name} in these records: it is too large by these parts."
+            else f"Compare units and calibration of {c.place.name} in these records: the values are scale errors."
         )
     elif c.place.kind == "output":
         advice = f"Declare a bias of {c.place.name} with per_experiment=True, or set the sensor up anew."
@@ -296,21 +296,21 @@ def _explanation(r: Remainder) -> str:
         return f"no candidate describes it, but a smooth function of {d.variable} in {where(d.place)} does: {_shape(d)}"
     if r.moves:
         return (
-            f"what is missing in {at} is no random disturbance: it comes again with the same motion, as a function of "
-            "several variables or of their past does, which no candidate describes"
+            f"what is missing in {at} is not a random disturbance: it recurs with the same motion, as a function of "
+            "several variables or of their past, which no candidate describes"
         )
     if r.bursts:
         return (
-            f"what is missing in {at} is no random disturbance as gusts are: nearly all of it comes in bursts, in less "
-            "than a tenth of the time, and no candidate describes it"
+            f"what is missing in {at} is not a random disturbance such as gusts: nearly all of it occurs in bursts, "
+            "in less than a tenth of the time, and no candidate describes it"
         )
     if d.kind == "event":
         assert d.span is not None
         record, begin, end = d.span
         name = r.at.linear.experiments[record].name
-        return f"something acts on {at} once, from {number(begin, 4)} to {number(end, 4)} s of '{name}'"
+        return f"a single disturbance acts on {at} from {number(begin, 4)} to {number(end, 4)} s of '{name}'"
     if d.place.kind == "input":
-        return f"what acts is not {at} as it is recorded, but differs from it at random (noise on a recorded input)"
+        return f"the acting input differs at random from the recorded {at} (noise on a recorded input)"
     lasting = r.filtered.correlation if r.filtered is not None else d.correlation
     slow = f", with a correlation time of about {number(lasting, 2)} s" if lasting else ""
     return f"a random disturbance acts on {at} (process noise, such as gusts or turbulence){slow}"
@@ -326,9 +326,9 @@ def _shape(d: Disturbance) -> str:
 def _advice(r: Remainder) -> str:
     d = r.disturbance
     if r.is_unknown:
-        return "A term of your own in that place, as the curve suggests it, can be tried by candidates=."
+        return "Try a term of your own with the shape of this curve, by candidates=."
     if d.kind == "event":
-        return "Leave the span out of the record, or give what happened there as an input."
+        return "Exclude this span from the record, or give the disturbance as an input."
     if d.place.kind == "input":
         return (
             f"With a noisy input the estimates are biased. Measure {d.place.name} better, smooth it, or estimate by "
@@ -336,12 +336,12 @@ def _advice(r: Remainder) -> str:
         )
     if r.filtered is not None and r.filtered.tau and d.place.kind == "equation":
         return (
-            f"Estimate with a state w more, w' = -w/tau, that is added to {d.place.name}', and "
+            f"Estimate with an additional state w, w' = -w/tau, added to {d.place.name}', and "
             "transcription=FilterError('w'): it takes such noise into account."
         )
     if d.place.kind == "state":
         return (
             f"It acts in every equation that {d.place.name} is in, as wind does: measure it, and give it as an input. "
-            f"Estimation with transcription=FilterError('{d.place.name}') comes near to that."
+            f"Estimation with transcription=FilterError('{d.place.name}') is an approximation."
         )
     return f"Estimate with transcription=FilterError('{d.place.name}'): it takes such noise into account."

@@ -83,7 +83,7 @@ def words_of_laws(laws: Sequence[OtherLaw]) -> list[str]:
         each = " or ".join(f"{law.candidate.name} ({law.estimates})" for law in same)
         words.append(
             f"How {place} depends on {variable} is not determined: in place of {parameter}, {each} explains as much. "
-            f"Records in which {variable} has several sizes would tell."
+            f"Records with several amplitudes of {variable} would determine it."
         )
     return words
 

@@ -49,8 +49,8 @@ class Parts:
         total, used = (sum(e.n for e in dataset(r.fit)) for r in (self.whole, self.base))
         return (
             f"The search was made in {len(dataset(self.base.fit))} windows of the records with {used:,} of {total:,} "
-            "samples, each where the misfit of its stretch is largest; gains and parts explained are those there. What "
-            "is named was estimated from all samples."
+            "samples, where the misfit is largest; gains and explained parts refer to these windows. Named causes were "
+            "estimated from all samples."
         )
 
     def estimated(self, at: Refit) -> Refit | None:

@@ -60,11 +60,13 @@ def restarted(fit: FitResult, validation: Sequence[Experiment]) -> Restart:
         if again is not None:
             return Restart(
                 again,
-                f"{status}; begun again with the parameters that short segments of the records determine it converged, "
-                "and that fit was diagnosed.",
+                f"{status}; started again from the parameters estimated from short segments of the records it "
+                "converged, and that fit was diagnosed.",
             )
         segments = Segments.of(pieces, length, validation)
-        return Restart(near, f"{status}. Over short segments, each with its own first states, it converged.", segments)
+        return Restart(
+            near, f"{status}. It converged over short segments, each with initial states of its own.", segments
+        )
     return Restart(
         None,
         f"{status}, and neither from the measured path nor over short segments of the records does an estimation "

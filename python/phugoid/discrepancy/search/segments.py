@@ -68,8 +68,8 @@ class Segments:
     def note(self) -> str:
         """The note for the user."""
         return (
-            f"Over a whole record the simulation drifts away from what was measured. It was simulated over segments of "
-            f"{self.horizon:.3g} s, each with its own first states, and so were the data held out."
+            "Over a whole record the simulation drifts away from the measurements. The records, and those held out, "
+            f"were simulated in segments of {self.horizon:.3g} s, each with initial states of its own."
         )
 
 
@@ -146,8 +146,8 @@ class Thinned:
     def note(self) -> str:
         """The note for the user."""
         return (
-            f"Nothing in the records is as quick as they were sampled: the diagnosis is of means over {self.factor} "
-            f"samples each, {self.rate:.3g} a second."
+            f"The records are sampled much faster than the motion: the diagnosis uses means over {self.factor} "
+            f"samples, at {self.rate:.3g} Hz."
         )
 
 

@@ -261,7 +261,7 @@ def test_collinear_regressors_are_named() -> None:
     data = e.with_outputs(ph.simulate(m, {"a": -1, "b": 2, "c": 0, "d": 0}, e, initial={"x": 0}).outputs)
     result = equation_error(m, data, start={"b": 0.5})
     assert (("b", "c"), np.inf) in result.collinear
-    assert any("b, c cannot be told apart" in w for w in result.warnings)
+    assert any("b, c cannot be distinguished" in w for w in result.warnings)
     # The determined sum is right, the undetermined difference stays where it started.
     assert values(result)["b"] + values(result)["c"] == pytest.approx(2.0, rel=1e-2)
     assert values(result)["b"] - values(result)["c"] == pytest.approx(0.5, abs=1e-9)

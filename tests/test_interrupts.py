@@ -194,7 +194,7 @@ def test_a_diagnosis_tells_what_is_known(here: Path) -> None:
     """
     interrupted, ranked, found, channels, summary, figures = told(script)
     assert interrupted and not ranked and not found and channels == ["x"] and figures == 1
-    assert "The search was interrupted before anything was found" in summary and "candidates were scanned" in summary
+    assert "The search was interrupted before it had a result" in summary and "candidates were scanned" in summary
     assert "interrupted before" in (here / "missing.html").read_text(encoding="utf-8")
 
 

@@ -12,7 +12,7 @@ import pytest
 import short_period
 
 import phugoid as ph
-from phugoid.discrepancy.search import segments
+from phugoid.discrepancy.search import restart
 from phugoid.estimation import estimate
 
 
@@ -46,8 +46,8 @@ def failing(first: int, starts: list[Any]) -> Callable[..., Any]:
 @pytest.mark.parametrize(("failures", "words"), [(0, "estimated again"), (1, "estimated again"), (2, "short segments")])
 def test_the_next_way_is_tried_where_one_fails(failures: int, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     starts: list[Any] = []
-    monkeypatch.setattr(segments, "estimate", failing(failures, starts))
-    found = segments.restarted(ended_badly(), ())
+    monkeypatch.setattr(restart, "estimate", failing(failures, starts))
+    found = restart.restarted(ended_badly(), ())
     assert found.fit is not None and found.fit.status == "converged" and found.segments is None
     assert words in found.words and "ended as 'infeasible' (no path)" in found.words
     # Continued; from the measured path; from the parameters that segments tell, without the path.
@@ -58,22 +58,22 @@ def test_the_next_way_is_tried_where_one_fails(failures: int, words: str, monkey
 
 
 def test_segments_are_what_is_diagnosed_where_only_they_can_be_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(segments, "estimate", failing(100, []))
-    found = segments.restarted(ended_badly(), [record(2)])
-    assert found.fit is not None and found.segments is not None and "it converged" in found.words
+    monkeypatch.setattr(restart, "estimate", failing(100, []))
+    found = restart.restarted(ended_badly(), [record(2)])
+    assert found.fit is not None and found.segments is not None and "It converged over short segments" in found.words
     assert len(found.fit.records) > 5 and found.fit.parameters["ma"].value == pytest.approx(-6.0, rel=0.1)
     assert found.segments.base.fit is found.fit
     assert max(e.t[-1] - e.t[0] for e in found.segments.validation) < 1.5 * found.segments.horizon
 
 
 def test_no_fit_is_an_answer_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(segments, "estimate", failing(100, []))
-    monkeypatch.setattr(segments, "fitted_to_segments", lambda base: (None, 0))
-    found = segments.restarted(ended_badly(), ())
+    monkeypatch.setattr(restart, "estimate", failing(100, []))
+    monkeypatch.setattr(restart, "fitted_to_segments", lambda base: (None, 0))
+    found = restart.restarted(ended_badly(), ())
     assert found.fit is None and found.segments is None and "no cause can be named" in found.words
 
 
 def test_ctrl_c_is_not_taken_for_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(segments, "estimate", lambda *args, **options: replace(ended_badly(), status="interrupted"))
+    monkeypatch.setattr(restart, "estimate", lambda *args, **options: replace(ended_badly(), status="interrupted"))
     with pytest.raises(KeyboardInterrupt):
-        segments.restarted(ended_badly(), ())
+        restart.restarted(ended_badly(), ())

@@ -165,7 +165,18 @@ def _estimated(finding: Finding) -> list[str]:
     ]
     if not value:  # those of each record are listed before
         return []
-    return [*lines, f"With {', '.join(others)}."] if others else lines
+    if others:
+        lines.append(f"With {', '.join(others)}.")
+    return [*lines, *_amplitude(finding)]
+
+
+def _amplitude(finding: Finding) -> list[str]:
+    """Return the amplitude of what is periodic in a position; its coefficients are those of a sine and a cosine."""
+    values = [value for value, _ in finding.parameters.values()]
+    if ":periodic_" not in finding.cause or len(values) != 3:
+        return []
+    sine, cosine, wave = values
+    return [f"Amplitude {number(math.hypot(sine, cosine), 3)}, period {number(2.0 * math.pi / abs(wave), 4)}."]
 
 
 def with_sign(value: float) -> str:
@@ -261,12 +272,12 @@ def _gained(diagnosis: DiagnosisResult) -> str:
     before = gain.held_out_rms_before if held_out else gain.rms_before
     after = gain.held_out_rms_after if held_out else gain.rms_after
     changes = [
-        f"{name} {number(before[name], 3)} to {number(after[name], 3)} {units.get(name, '')}".rstrip()
+        f"{name} {number(before[name], 3)} and {number(after[name], 3)} {units.get(name, '')}".rstrip()
         for name in before
         if name in after
     ]
-    where = "on the data held out" if held_out else "in these records"
-    return f"RMS error {where}, before and with all that is named: {', '.join(changes)}."
+    where = "on held-out data" if held_out else "in these records"
+    return f"RMS error {where} without and with the named causes: {', '.join(changes)}."
 
 
 def _nearest(diagnosis: DiagnosisResult) -> str:

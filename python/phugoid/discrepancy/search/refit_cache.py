@@ -30,9 +30,6 @@ _Array = NDArray[np.float64]
 _STARTS, _LARGE = (0.4, 1.6, 0.25, 0.65), 0.1
 # Part of an output's variance that a fit leaves with which next to nothing about it is true.
 _USELESS = 0.5
-# Part of the residuals' power that is predictable, from which on a parameter is thought to jump: a single event that
-# no other record confirms must be seen.
-_EVIDENT = 0.5
 # Two ends at the likeliest optimum so far, alike to this in log-likelihood, or so many starts that come to no end,
 # leave little to be found.
 _SAME, _FAILED = 0.5, 3
@@ -68,8 +65,6 @@ class RefitCache:
         self._starts: dict[str, Mapping[str, float]] = {}
         self._modes = light_modes(self.base.fit)
         self._ringing: dict[frozenset[str], Ringing | None] = {}
-        if not is_structured(self.base, _EVIDENT):
-            self.candidates = [c for c in self.candidates if getattr(c, "family", "") != "step"]
         self.candidates = with_variants(self.candidates, self.base.linear.points, self.base.fit.model)
         # Outputs of which the base leaves most, and not since they are mostly noise.
         structured = is_structured(self.base, _USELESS)

@@ -15,7 +15,7 @@ from ...modelling.model import Model
 from ...residual_noise.whitening import Filter, Whitening
 from ..candidates.candidate import Candidate, is_function
 from ..candidates.model_structure import ANGLES, ANGULAR_RATES
-from .refit import Refit
+from .refit import Refit, is_structured
 from .refit_cache import RefitCache
 from .scan import Scan, Statistics
 
@@ -132,6 +132,8 @@ class ScreenSettings:
                         power to first order, or more, whatever coloured noise makes of them.
     hopeless            what is this far below its threshold, by the filter of the fit and by the clean one, is not
                         refitted.
+    evident             a parameter may be thought to jump, which no other record confirms, where this part of the
+                        residuals' power is predictable.
     same                two effects on the outputs are the same beyond this cosine: one stands for both.
     alias               beyond this one they are aliases, whatever their refits say.
     """
@@ -143,6 +145,7 @@ class ScreenSettings:
     explains: int = 4
     share: float = 0.1
     hopeless: tuple[float, float] = (0.4, 0.8)
+    evident: float = 0.5
     same: float = 0.995
     alias: float = 0.95
 
@@ -239,7 +242,9 @@ class Screen:
         return self._best(scan, scan.through(filter), count, lasting)
 
     def _thresholds(self, scan: Scan) -> _Array:
-        return np.array([self._threshold(c) for c, _ in scan.effects])
+        """Return the thresholds (effects,); infinite for what is not to be thought of."""
+        evident = is_structured(self._cache.base, self.settings.evident)
+        return np.array([self._threshold(c) if evident or not _happens_once(c) else np.inf for c, _ in scan.effects])
 
     def _best(
         self, scan: Scan, statistics: Statistics, count: int, among: NDArray[np.bool_] | None = None
@@ -249,6 +254,8 @@ class Screen:
         # Of two that act alike that with fewer unknowns comes first.
         margins = statistics.values - self._thresholds(scan)
         for i in np.argsort(-margins):
+            if margins[i] == -np.inf:
+                break
             candidate, shape = scan.effects[i]
             if any(candidate.name == c.name for c, _ in chosen) or not (among is None or among[i]):
                 continue
@@ -273,12 +280,18 @@ class Screen:
             name = scan.effects[i][0].name
             if name != candidate.name and cosine > max(self.settings.alias, found.get(name, (0.0, 0))[0]):
                 found[name] = cosine, i
+        thresholds = self._thresholds(scan)
+        found = {n: (cosine, i) for n, (cosine, i) in found.items() if thresholds[i] < np.inf}
         order = sorted(found, key=lambda n: -found[n][0])
         for name in order:
             if not self._cache.has_start(name):
                 i = found[name][1]
                 self._cache.remember(scan.effects[i][0], scan.effects[i][1], statistics.amplitudes[i])
         return [scan.effects[found[n][1]][0] for n in order]
+
+
+def _happens_once(candidate: Candidate) -> bool:
+    return getattr(candidate, "family", "") == "step"
 
 
 def _whole(scan: Scan, statistics: Statistics, candidate: Candidate) -> int:

@@ -136,7 +136,7 @@ def _buoyant(seed: int, name: str) -> ph.Experiment:
 
 
 def test_a_term_is_told_without_which_the_estimation_has_no_optimum() -> None:
-    """Without the righting moment the damping and the effect of w grow without end, one against the other."""
+    """See that without the righting moment the damping and the effect of w grow without end, one against the other."""
     m = ph.Model("vehicle")
     q, th, w = m.states(q="rad/s", th="rad", w="m/s")
     (u,) = m.inputs(u="rad")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cached_property
 
 from ..._core import Expr
 from ...modelling.model import Model
@@ -115,7 +116,7 @@ class ModelStructure:
         moves = variable.rate or unit.endswith("/s") or variable.symbol in self._exact
         return variable.kind == "state" and not moves and unit not in ANGLES
 
-    @property
+    @cached_property
     def coordinates(self) -> list[tuple[Variable, Variable]]:
         """The positions, each with the state that it is the integral of, and of nothing else."""
         states = [v for v in self.variables if v.kind == "state"]

@@ -126,7 +126,7 @@ class Search:
             # What fits there stands in for something else, which to first order need not show: the fit may be far off
             # in its parameters.
             others = [self.cache.base]
-            first, _ = self.confirmation.accepted(others[0], self.refitting.tries(others[0], simple=True))
+            first = self._plain(others[0])
             if first is None or first.names == result.full.names[: len(first.names)]:
                 return result
             others.append(first)
@@ -153,9 +153,9 @@ class Search:
             following, unexplained = self.confirmation.accepted(current, self.refitting.tries(current))
             if following is None and not current.candidates and is_structured(current, self.settings.error):
                 # What a candidate does to first order says little of what a fit with it does.
-                following, _ = self.confirmation.accepted(current, self.refitting.tries(current, simple=True))
+                following = self._plain(current)
             elif following is not None and not current.candidates and self._is_beyond_reason(following):
-                plain, _ = self.confirmation.accepted(current, self.refitting.tries(current, simple=True))
+                plain = self._plain(current)
                 if plain is not None and not self._is_beyond_reason(plain):
                     following = following if self.assessment.is_worse(current, plain, following) else plain
             if following is None and is_structured(current, self.settings.doubt):
@@ -170,6 +170,10 @@ class Search:
             if minor == self.settings.minor:  # what comes next would be less
                 break
         return unexplained
+
+    def _plain(self, at: Refit) -> Refit | None:
+        """Return the refit with one more constant or linear term, of all that there are, that is confirmed."""
+        return self.confirmation.accepted(at, self.refitting.tries(at, simple=True))[0]
 
     def _is_beyond_reason(self, at: Refit) -> bool:
         """Tell whether a term has a size that is not physical: about a fit that is far off in its parameters it may

@@ -355,10 +355,12 @@ def is_physical(at: Refit, candidate: Candidate) -> bool:
     """Tell whether all parameters of a candidate lie within what is physical, or have a reason not to."""
     limits = candidate.physical(at.linear.points)
     values = {n: at.own.parameter(n)[0] for n in limits}
-    wider = _cancelling(at, candidate.place)
-    if wider > 1.0:
-        limits = {n: (wider * a, wider * b) if n in candidate.coefficients else (a, b) for n, (a, b) in limits.items()}
-    return all(low <= values[n] <= high for n, (low, high) in limits.items()) or candidate.has_reason(values)
+
+    def are_within(wider: float) -> bool:
+        by = {n: wider if n in candidate.coefficients else 1.0 for n in limits}
+        return all(by[n] * low <= values[n] <= by[n] * high for n, (low, high) in limits.items())
+
+    return are_within(1.0) or are_within(_cancelling(at, candidate.place)) or candidate.has_reason(values)
 
 
 def _cancelling(at: Refit, place: Place) -> float:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -243,8 +244,14 @@ class Screen:
 
     def _thresholds(self, scan: Scan) -> _Array:
         """Return the thresholds (effects,); infinite for what is not to be thought of."""
-        evident = is_structured(self._cache.base, self.settings.evident)
-        return np.array([self._threshold(c) if evident or not _happens_once(c) else np.inf for c, _ in scan.effects])
+        left_out = ("step",) if not self._is_evident else ()
+        return np.array(
+            [np.inf if getattr(c, "family", "") in left_out else self._threshold(c) for c, _ in scan.effects]
+        )
+
+    @cached_property
+    def _is_evident(self) -> bool:
+        return is_structured(self._cache.base, self.settings.evident)
 
     def _best(
         self, scan: Scan, statistics: Statistics, count: int, among: NDArray[np.bool_] | None = None
@@ -288,10 +295,6 @@ class Screen:
                 i = found[name][1]
                 self._cache.remember(scan.effects[i][0], scan.effects[i][1], statistics.amplitudes[i])
         return [scan.effects[found[n][1]][0] for n in order]
-
-
-def _happens_once(candidate: Candidate) -> bool:
-    return getattr(candidate, "family", "") == "step"
 
 
 def _whole(scan: Scan, statistics: Statistics, candidate: Candidate) -> int:

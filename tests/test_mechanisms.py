@@ -229,3 +229,33 @@ def test_wind_against_a_heading_is_named() -> None:
     values = [value for value, _ in found.parameters.values()]
     assert np.hypot(*values[:2]) == pytest.approx(3.0, abs=0.1)
     assert values[2] == pytest.approx(1.0, abs=0.01)
+
+
+def _rudder(seed: int, name: str) -> ph.Experiment:
+    """A ship whose rudder acts more than in proportion, about the angle that balances its propeller."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 120.0, 0.2)
+    d = 0.07 + _smooth(rng, t, 0.06, (0.013, 0.031, 0.052))
+
+    def f(x: _Array, u: float) -> _Array:
+        return np.array([x[1], -0.2 * x[1] - 0.01 + 0.1 * u + 0.6 * (u - 0.1) * abs(u - 0.1)])
+
+    x = integrated(f, np.zeros(2), t, d)
+    outputs = {"r": x[:, 1] + 2e-4 * rng.standard_normal(t.size)}
+    return ph.Experiment(t, {"d": d}, outputs, name=name, interpolation="hold")
+
+
+def test_the_trim_of_a_function_is_estimated() -> None:
+    """With the trim a little off, |d| would be named beside it."""
+    m = ph.Model("ship")
+    (r,) = m.states(r="rad/s")
+    (d,) = m.inputs(d="rad")
+    a, b, c = m.parameters(a=0.3, b=0.2, c=0.0)
+    m.dynamics(r=-a * r + b * d + c)
+    m.outputs(r=r)
+    diagnosis = ph.diagnose(ph.estimate(m, _rudder(1, "a")), validation=_rudder(2, "b"))
+    (found,) = named(diagnosis)
+    assert found.cause == "r':d|d|"
+    assert found.coefficient == pytest.approx(0.6, abs=4.0 * found.std_error)
+    trim = float(found.explanation.partition("(d - ")[2].partition(")")[0])
+    assert trim == pytest.approx(0.1, abs=0.0005)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,6 +23,7 @@ __all__ = [
     "Candidate",
     "Effect",
     "ExtensionBuilder",
+    "has_unknown_centre",
     "is_function",
     "largest_coefficient",
     "place_range",
@@ -127,6 +129,8 @@ _Self = TypeVar("_Self", bound="Effect")
 _NEAR = 0.05
 # Families that are functions of the present value of one variable, other than constants and linear ones.
 _SHAPED = ("square", "cube", "quadratic", "absolute", "root", "sign", "deadband", "saturation")
+# Families of which the trim matters though the model has a linear term.
+_ABOUT_TRIM = ("cube", "quadratic", "absolute")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -193,8 +197,23 @@ class Effect(Candidate):
                 found.append(self.on(replace(scales, trim={**scales.trim, **dict(zip(names, centres, strict=True))})))
         return found
 
+    def moved(self: _Self, by: float) -> _Self:
+        """Return the same effect about another centre of its variable, rounded so that equations can be read."""
+        (name,) = self.variables
+        digits = 3 - math.floor(math.log10(self.scales.span(name)))
+        trim = {**self.scales.trim, name: round(self.scales.centre(name) + by, digits)}
+        return self.on(replace(self.scales, trim=trim))
+
     def __repr__(self) -> str:
         return f"<{self.name}: {self.explanation}>"
+
+
+def has_unknown_centre(candidate: Candidate) -> bool:
+    """Tell whether a candidate is a function of one variable about a trim that is not given, and that no linear term
+    makes up for."""
+    if not isinstance(candidate, Effect) or candidate.family not in _ABOUT_TRIM or not candidate.centred:
+        return False
+    return len(candidate.variables) == 1 and candidate.variables[0] not in candidate.scales.given
 
 
 def is_function(candidate: Candidate, variable: str = "") -> bool:

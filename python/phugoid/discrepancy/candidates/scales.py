@@ -85,6 +85,8 @@ class Scales:
     """Trims, least and greatest values by name (states, inputs, quantities; outputs by `output_key`, rates by
     `rate_key`), numbers of levels of what takes a few values only, and of time (s): first, longest record, interval.
 
+    given: names of which the user gave the trim.
+
     What is not known is taken as centred at 0, with a range of 1, over 20 s at 50 Hz: a library without data.
     """
 
@@ -95,6 +97,7 @@ class Scales:
     begin: float = 0.0
     duration: float = 20.0
     interval: float = 0.02
+    given: frozenset[str] = frozenset()
 
     @staticmethod
     def of(points: Sequence[Points], trim: Mapping[str, float] | None = None) -> Scales:
@@ -114,6 +117,7 @@ class Scales:
             begin=min(float(p.t[0]) for p in points),
             duration=max(float(p.t[-1] - p.t[0]) for p in points),
             interval=min(float(np.median(np.diff(p.t))) for p in points),
+            given=frozenset(trim or ()),
         )
 
     def centre(self, name: str) -> float:

@@ -30,7 +30,8 @@ class SearchSettings:
     model. The search ends after ``minor`` steps one after the other that explain next to nothing. Where the screen
     proposes nothing that is confirmed, though the part ``error`` of the residuals' power is predictable, constants and
     linear terms are tried all, and where the part ``doubt`` is, twice as many as the screen proposes. Where no more
-    than ``structure`` is predictable, nothing is unexplained."""
+    than ``structure`` is predictable, nothing is unexplained. The trim of a function of one variable is estimated where
+    that gains more than ``centre`` in log-likelihood."""
 
     screen: ScreenSettings = field(default_factory=ScreenSettings)
     refitting: RefittingSettings = field(default_factory=RefittingSettings)
@@ -42,6 +43,7 @@ class SearchSettings:
     doubt: float = 0.3
     structure: float = 0.05
     half: float = 0.5
+    centre: float = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +167,7 @@ class Search:
             if following is None or following.names in seen:
                 break
             seen.add(following.names)
+            following = self.cache.centred(following, self.settings.centre)
             minor = minor + 1 if self._is_minor(current, following) else 0
             steps.append(following)
             if minor == self.settings.minor:  # what comes next would be less

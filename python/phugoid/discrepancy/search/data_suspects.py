@@ -45,6 +45,7 @@ _RIVALS = {
     "hold": ("delay", "lag"),
     "cubic": ("delay", "lag"),
     "noise": ("deadband", "backlash", "saturation", "lag", "delay"),
+    "clock": ("delay", "lag"),
 }
 _BEYOND = 1.25
 
@@ -140,12 +141,13 @@ def with_recorded_input(search: Search) -> tuple[RecordedInput | None, bool]:
     and whether the comparison was interrupted."""
     cache = search.cache
     try:
-        cache.watch("comparing inputs that are held between samples, smooth there, or recorded with noise")
+        cache.watch("comparing inputs that are held between samples, recorded with noise, or by another clock")
         found = recorded_input(cache)
         if found is None:
             return None, False
         search.screen.shortlist(cache.base)
-        names = {f"{found.name}:{rival}" for rival in _RIVALS[found.kind]}
+        inputs = found.clock.names if found.clock is not None else (found.name,)
+        names = {f"{name}:{rival}" for name in inputs for rival in _RIVALS[found.kind]}
         if found.kind != "noise":
             # Half a sample of the input is a delay of all outputs; of one of them it need not be the input's.
             names |= {f"{y}:delay" for y in cache.base.fit.model.output_names}

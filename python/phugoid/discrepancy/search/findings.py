@@ -177,14 +177,34 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, unit: str) -> 
             f"Measure {h.name} better, or filter it without a phase shift before the estimation; the rest of the "
             "search used the filtered input."
         )
+    elif h.clock is not None:
+        c = h.clock
+        which = " and ".join(c.names)
+        were = "were" if len(c.names) > 1 else "was"
+        begin, end = (f"{number(abs(x), 2)} s {'late' if x > 0.0 else 'early'}" for x in (c.late, c.until))
+        explanation = (
+            f"{which} {were} recorded by another clock than the outputs, {begin} at the beginning of a record and "
+            f"{end} at the end of the longest one"
+        )
+        advice = (
+            "Record on one time base, or correct the times of the inputs; the rest of the search used corrected inputs."
+        )
     else:
         explanation = (
             f"{h.name} is held between its samples, as commands of a computer are, and not linear (zero-order hold)"
         )
         advice = f"Give the records with interpolation={{'{h.name}': 'hold'}}; the rest of the search used this."
+    rate, error = (h.clock.rate, h.clock.error) if h.clock is not None else (nan, nan)
+    label, half = h.cause.replace(":", "_"), _INTERVAL * error
     return Finding(
         cause=h.cause,
         status="named",
+        coefficient=rate,
+        std_error=error,
+        interval=(rate - half, rate + half),
+        unit="s/s" if h.clock is not None else "",
+        parameters={label: (rate, error)} if h.clock is not None else {},
+        units={label: "s/s"} if h.clock is not None else {},
         gain=h.gain,
         held_out_gain=h.held_out.gain if h.held_out else nan,
         threshold=threshold,

@@ -1,5 +1,5 @@
 """Inputs that act otherwise than they are recorded: held between their samples, smooth there, without the noise that
-their records have, or changing faster than their samples tell.
+their records have, by another clock, or changing faster than their samples tell.
 
 The output-error method takes inputs as known. Noise on a recorded input acts like process noise in the model's response
 and biases the estimates (Jategaonkar 2015, ch. 5): where the data say so, the noise is filtered out of the record.
@@ -28,7 +28,8 @@ from ...sensitivities.whitened import Marginal, RandomEffects, Whitened, at_knot
 from .disturbance import noises_of
 from .evidence import AssessmentSettings
 from .free_run import Explained, Misfitting, Simulated
-from .refit import HeldOut, Refit, fitted_to, gain_on_other_data, on_other_data
+from .input_clock import InputClock, input_clock
+from .refit import HeldOut, Refit, fitted_to, gain_on_other_data, is_structured, on_other_data
 from .refit_cache import RefitCache
 
 __all__ = [
@@ -40,8 +41,8 @@ __all__ = [
 ]
 
 _Array = NDArray[np.float64]
-_Kind = Literal["hold", "cubic", "noise"]
-_KINDS: tuple[_Kind, ...] = ("hold", "cubic", "noise")
+_Kind = Literal["hold", "cubic", "noise", "clock"]
+_OF_ONE: tuple[Literal["hold", "cubic", "noise"], ...] = ("hold", "cubic", "noise")
 
 # Log-likelihood by which another input must be ahead of the one recorded, joined by straight lines.
 _MARGIN = 8.0
@@ -49,6 +50,8 @@ _MARGIN = 8.0
 # weights fall with the distance in time and, within a part of the noise, in the filtered value.
 _MEDIANS, _MEANS = (5, 11), (8, 20, 60)
 _FIRST, _ALIKE = 5, 1.5
+# Part of the misfit that another clock must explain.
+_MOST_OF_IT = 0.5
 # To first order the data ask for so much of what the filter takes away: about all of it.
 _ALL = (0.4, 1.6)
 
@@ -59,13 +62,14 @@ class RecordedInput:
 
     name        of the input.
     kind        "hold": constant until the next sample; "cubic": smooth between samples; "noise": without the noise that
-                is on the record.
+                is on the record; "clock": by another clock than that of the record.
     refit       the fit with it so.
     validation  the other records with it so; those that are no better so as they are.
     gain        in log-likelihood, coloured noise.
     held_out    the same on the other records; None without any.
     explained   what it explains of their misfit in free simulation; without other records, of that of the fit's own.
     noise       RMS of the noise, in the input's unit; 0 for the other kinds.
+    clock       that by which inputs were recorded; None for the other kinds.
     """
 
     name: str
@@ -76,6 +80,7 @@ class RecordedInput:
     held_out: HeldOut | None
     explained: Explained | None
     noise: float = 0.0
+    clock: InputClock | None = None
 
     @property
     def cause(self) -> str:
@@ -84,8 +89,8 @@ class RecordedInput:
 
 
 def recorded_input(search: RefitCache) -> RecordedInput | None:
-    """Return the input that the data say is held between its samples, smooth there, or recorded with noise, the
-    clearest of them; None where there is none.
+    """Return the input that the data say is held between its samples, smooth there, recorded with noise, or by another
+    clock, the clearest of them; None where there is none.
 
     A delay of half a sample does nearly the same as an input that is held: where that predicts other data better than
     straight lines do, it is named first, since it has no parameter.
@@ -101,7 +106,7 @@ def recorded_input(search: RefitCache) -> RecordedInput | None:
             continue
         noise = _without_noise(base.own, name)
         least = max(_MARGIN, found.gain if found else 0.0)
-        for kind in _KINDS:
+        for kind in _OF_ONE:
             treated = noise if kind == "noise" else [e.with_interpolation({name: kind}) for e in data]
             refit = fitted_to(base, treated) if treated else None
             if refit is None or refit.merit - base.merit < least:
@@ -111,6 +116,30 @@ def recorded_input(search: RefitCache) -> RecordedInput | None:
             confirmed = _confirmed(one, before, base, search.biases) if before is not None else _explaining(one, base)
             if confirmed is not None:
                 found, least = confirmed, confirmed.gain
+    clock = _by_another_clock(search, data, before)
+    return max((one for one in (found, clock) if one is not None), key=lambda one: one.gain, default=None)
+
+
+def _by_another_clock(
+    search: RefitCache, data: Sequence[Experiment], before: Linearised | None
+) -> RecordedInput | None:
+    """Return the inputs that were recorded by another clock than the outputs, one of them or all, where that explains
+    most of the misfit: what changes slowly in a record looks a little like it."""
+    base, found = search.base, None
+    if not is_structured(base, _MOST_OF_IT):
+        return None
+    names = list(base.fit.model.declared_inputs)
+    groups = [[n] for n in names] + ([names] if len(names) > 1 else [])
+    for group in groups:
+        best = input_clock(base, group, data, max(_MARGIN, found.gain if found else 0.0))
+        if best is None:
+            continue
+        clock, refit = best
+        name = group[0] if len(group) == 1 else "inputs"
+        one = RecordedInput(name, "clock", refit, search.validation, refit.merit - base.merit, None, None, clock=clock)
+        confirmed = _confirmed(one, before, base, search.biases) if before is not None else _explaining(one, base)
+        if confirmed is not None and confirmed.explained is not None and confirmed.explained.part > _MOST_OF_IT:
+            found = confirmed
     return found
 
 
@@ -132,6 +161,8 @@ def _confirmed(one: RecordedInput, before: Linearised, base: Refit, free: Sequen
     name, kind = one.name, one.kind
     if kind == "noise":
         other = _without_noise(Whitened(before, base.own.filter.on(before.structure)), name)
+    elif kind == "clock":
+        other = one.clock.on(one.validation) if one.clock is not None else []
     else:
         other = [e.with_interpolation({name: kind}) for e in one.validation]
     if not other:

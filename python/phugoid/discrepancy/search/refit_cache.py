@@ -16,7 +16,7 @@ from ...frozen_model import freed_by_default
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.linearised import Linearised
 from ...solvers import check_time
-from ..candidates.candidate import Candidate, with_variants
+from ..candidates.candidate import Candidate, Effect, has_unknown_centre, with_variants
 from .refit import Refit, is_structured, on_other_data, refit
 from .ringing import Ringing, light_modes, ringing_of
 from .scan import Scan
@@ -39,6 +39,9 @@ _NEARLY = 10.0
 _LITTLE, _OTHERS = 0.1, 4
 # Refits side by side: the solver works without the interpreter's lock.
 _WORKERS = 4
+# Of a trim that is estimated, in parts of the range of the variable: the step of the derivative, the longest step of
+# the estimate; and steps.
+_CENTRE_STEP, _FARTHEST_CENTRE, _CENTRINGS = 0.02, 0.3, 3
 
 
 @dataclass
@@ -135,6 +138,53 @@ class RefitCache:
             known.pop(key, None)
         self._refits[key] = found
         return found
+
+    def centred(self, at: Refit, least: float) -> Refit:
+        """Return the refit with its last candidate about the centre that the data ask for, where that is a function
+        about a trim that is not known and gains more than ``least`` in log-likelihood there; then it is about this
+        centre in all sets.
+
+        The derivative by the centre is that of the function. With the trim a little off the rest would pass for another
+        function of the same variable: c (x - a)|x - a| about 0 leaves -2 c a |x|.
+        """
+        for _ in range(_CENTRINGS):
+            candidate = at.candidates[-1]
+            if not isinstance(candidate, Effect) or not has_unknown_centre(candidate):
+                break
+            span = candidate.scales.span(*candidate.variables)
+            step = _CENTRE_STEP * span
+            scan = Scan(at.linear, [candidate.moved(step)])
+            if not scan.effects:
+                break
+            seen = scan.through(at.own.filter)
+            amplitude = at.fit.parameters[candidate.coefficients[0]].value
+            if seen.values[0] < 2.0 * least or amplitude == 0.0:
+                break
+            farthest = _FARTHEST_CENTRE * span
+            by = float(np.clip(step * seen.amplitudes[0][0] / amplitude, -farthest, farthest))
+            self.watch(f"fitting with {candidate.name} about another trim")
+            moved = [*at.candidates[:-1], candidate.moved(by)]
+            found = refit(self.base.fit, moved, {}, at.fit, self.base.linear.points)
+            if found is None or found.merit < at.merit + least:
+                break
+            self._replace(candidate, by, found)
+            at = found
+        return at
+
+    def _replace(self, candidate: Effect, by: float, found: Refit) -> None:
+        """Forget what is known of a candidate, and have it about another centre from here on."""
+        for known in (self._refits, self._scans, self._others, self._as_fitted, self._ringing):
+            for key in [key for key in known if candidate.name in key]:
+                del known[key]
+        self._refits[frozenset(found.names)] = found
+        centre = candidate.scales.centre(*candidate.variables)
+        kept = []
+        for c in self.candidates:
+            if c.name != candidate.name:
+                kept.append(c)
+            elif isinstance(c, Effect) and c.scales.centre(*c.variables) == centre:
+                kept.append(c.moved(by))
+        self.candidates = kept
 
     def _likeliest(
         self, candidates: Sequence[Candidate], starts: Mapping[str, float], near: FitResult | None

@@ -151,7 +151,7 @@ class Scan:
     def __init__(self, linear: Linearised, candidates: Sequence[Candidate]) -> None:
         self.linear = linear
         effects = [(c, shape) for c in candidates for shape in c.shapes]
-        self.white = Whitened(linear, _white(linear))
+        self.white = Whitened(linear, white_noise(linear))
         columns, parameters, groups = linear.columns(effects)
         # Coefficients have units: with that of length 1, in units of the noise, none is lost for the user's choice.
         units = 1.0 / self._lengths(columns)
@@ -303,7 +303,7 @@ class Scan:
         return taken, errors
 
 
-def _white(linear: Linearised) -> Whitening:
+def white_noise(linear: Linearised) -> Whitening:
     """Return the noise as the fit has it: white."""
     channels = [Autoregression((np.empty(0),), np.array([sigma**2])) for sigma in linear.sigmas]
     return Whitening(channels, linear.structure)

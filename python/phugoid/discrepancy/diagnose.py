@@ -1,43 +1,28 @@
-"""Find what a fitted model is missing, after checks of what is given."""
+"""Find what a fitted model is missing."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
 
-import numpy as np
-
-from ..data.experiment import Experiment, as_experiments
-from ..errors import DataError, EvaluationError, ModelError, OptionError, did_you_mean, some
-from ..filter_error import FilterError
+from ..data.experiment import Experiment
+from ..errors import DataError, EvaluationError, some
 from ..fit_result import ENDED_WELL, FitResult
 from ..progress import StatusLine
 from ..sensitivities.tangents import collocated
 from ..solvers import Deadline, check_time, interrupts, limited, one_blas_thread
-from ..validation import shared
+from .arguments import candidates_given, check_fit, check_size, freed, validation_given
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
-from .candidates.library import candidates as library
 from .discrimination import advice_of
 from .search import Search, SearchResult
 from .search.confirmation import Found
-from .search.data_suspects import (
-    unsigned_sensor,
-    with_changes,
-    with_inputs_as_recorded,
-    with_inputs_as_sampled,
-    with_proposals,
-    with_record_changes,
-    with_recorded_input,
-    with_remainder,
-    words_of_inputs,
-)
-from .search.finding import DiagnosisResult, Scored
+from .search.finding import DiagnosisResult, ExtensionResult, Finding, Scored
 from .search.findings import (
     finding_of,
     finding_of_record_change,
@@ -48,140 +33,18 @@ from .search.findings import (
     no_optimum,
 )
 from .search.other_laws import other_laws, words_of_laws
-from .search.parts import parts_of
-from .search.record_change import RecordChange
-from .search.recorded_input import RecordedInput, SampledInputs
+from .search.parts import Parts, parts_of
 from .search.refit import Refit, is_structured
-from .search.remainder import Remainder, RemainderSettings
+from .search.remainder import RemainderSettings
 from .search.restart import Restart, restarted, with_optimum
-from .search.scan import NEARLY, Scan
-from .search.segments import segments_of, thinned
-from .search.sensor_fault import SensorFault, sensor_faults, without_faults
-from .search.stand_ins import without_stand_ins
+from .search.scan import Scan
+from .search.segments import Segments, Thinned, segments_of, thinned
+from .search.sensor_fault import SensorFault, UnsignedSensor, sensor_faults, unsigned_sensor, without_faults
+from .search.stages import State, ranked, ranking_of, stages, words_of_inputs
 
-__all__ = [
-    "candidates_given",
-    "check_fit",
-    "check_size",
-    "diagnose",
-    "freed",
-    "validation_given",
-]
-
-
-# Samples that every output is to have, and rows for each unknown: fewer do not tell noise from misfit.
-_FEWEST, _EACH = 40, 5
-# Of an output's spread: a residual below it is rounding.
-_EXACT = 1e-9
-
+__all__ = ["diagnose"]
 
 _Found = TypeVar("_Found")
-
-
-def check_fit(fit: Any) -> None:
-    """Raise OptionError for what is no fit by output error, DataError for a fit without residuals."""
-    if not isinstance(fit, FitResult):
-        raise OptionError(f"diagnose: the first argument is a fit, as estimate gives it, not {type(fit).__name__}")
-    if isinstance(fit.transcription, FilterError):
-        raise OptionError(
-            "diagnose: a fit with process noise explains every misfit by it; estimate without FilterError and "
-            "diagnose that"
-        )
-    for name in fit.model.output_names:
-        measured = np.concatenate([r.measured[name] for r in fit.records])
-        residual = np.concatenate([r.residuals[name] for r in fit.records])
-        there = np.isfinite(measured) & np.isfinite(residual)
-        spread = float(np.std(measured[there])) if there.any() else 0.0
-        if float(np.sqrt(np.mean(residual[there] ** 2))) <= _EXACT * max(spread, 1e-300):
-            raise DataError(
-                f"diagnose: the residuals of output '{name}' are all zero: the data are those of the model itself, and "
-                "there is no noise that a misfit could be measured against"
-            )
-
-
-def check_size(base: Refit) -> None:
-    """Raise DataError for records too short to tell noise from misfit."""
-    linear = base.linear
-    for name, count in zip(linear.model.output_names, linear.counts, strict=True):
-        if count < _FEWEST:
-            raise DataError(
-                f"diagnose: output '{name}' has {count} samples, too few to distinguish noise from misfit ({_FEWEST})"
-            )
-    unknowns = linear.n_unknowns
-    if linear.n_rows < _EACH * unknowns:
-        raise DataError(
-            f"diagnose: the record is too short: {linear.n_rows} measurements for {unknowns} unknowns leave nothing to "
-            f"judge a misfit by (at least {_EACH} for each)"
-        )
-
-
-def validation_given(fit: FitResult, given: Any) -> Sequence[Experiment]:
-    """Return the validation records; raise DataError for one without the channels, or that the fit was made on."""
-    if given is None:
-        return ()
-    others = as_experiments(given, "diagnose: validation")
-    for e in others:
-        e.check_for(
-            fit.model.input_names, fit.model.output_names, fit.model.output_names, conditions=fit.model.condition_names
-        )
-        if any(shared(fit.model, record, e) == e.n == record.n for record in fit.records):
-            raise DataError(
-                f"diagnose: the validation record '{e.name}' is one that the fit was made on: give another, or none"
-            )
-    return others
-
-
-def freed(fit: FitResult, others: Sequence[Experiment], given: Any) -> tuple[str, ...] | None:
-    """Return the parameters to re-estimate in validation records, None where not given; raise OptionError or ModelError
-    for what is no list of parameters."""
-    if given is None:
-        return None
-    if not others:
-        raise OptionError("diagnose: biases are estimated again in validation records: give validation too")
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise OptionError(f"diagnose: biases is a list of names, such as ['b_q'], or () for none, not {given!r}")
-    names = fit.model.parameter_names
-    for name in (found := tuple(dict.fromkeys(map(str, given)))):
-        if name not in names:
-            base = name.partition("[")[0]
-            hint = f" Say '{base}', for all experiments." if base in names else did_you_mean(name, names)
-            raise ModelError(f"diagnose: biases: '{name}' is no parameter of the model.{hint}")
-    return found
-
-
-def _with_optimum(fit: FitResult, candidates: Any) -> list[Refit]:
-    try:
-        return with_optimum(fit, candidates_given(fit, candidates, Refit((), fit)))
-    except EvaluationError:  # not to be linearised where it was left
-        return []
-
-
-def candidates_given(fit: FitResult, given: Any, base: Refit) -> list[Candidate]:
-    """Return the candidates as given, or those of the library; raise OptionError for what cannot be one."""
-    points = base.linear.points
-    if given is None or isinstance(given, Mapping):
-        return list(library(fit.model, points=points, terms=given))
-    if isinstance(given, Candidates):
-        given = given.on(points)
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise OptionError(f"diagnose: candidates holds Candidates, or terms by place, not {given!r}")
-    listed = list(given)
-    places = base.linear.places
-    for c in listed:
-        if not isinstance(c, Candidate):
-            raise OptionError(
-                f"diagnose: candidates holds {c!r}, which is no Candidate: make them by ph.candidates(model)"
-            )
-        if c.place not in places:
-            raise OptionError(
-                f"diagnose: candidate '{c.name}' acts on {c.place.kind} '{c.place.name}', which the model has not"
-            )
-    names = [c.name for c in listed]
-    twice = [n for n in dict.fromkeys(names) if names.count(n) > 1]
-    if twice:
-        raise OptionError(f"diagnose: candidate '{twice[0]}' is given twice")
-    return listed
-
 
 _OF_THESE_RECORDS = (
     "Only in the records of the fit: {}. With it, the simulation of the validation records does not improve; the "
@@ -200,29 +63,6 @@ def _is_minor(search: Search, result: SearchResult, found: Found, kept: Refit) -
     alone = name in result.final.names and name not in kept.names
     little = alone and found.explained is not None and found.explained.part < _ALONE
     return (bool(name) and name not in result.final.names) or little or search.assessment.is_minor(found.explained)
-
-
-def ranking_of(search: Search, scan: Scan) -> list[Scored]:
-    """Return all candidates, each at its best shape."""
-    through = {"base": search.cache.base.own.filter, "clean": scan.clean(), "white": scan.white.filter}
-    values = {which: scan.through(filter) for which, filter in through.items()}
-    best: dict[str, int] = {}
-    for i in np.argsort(-values["clean"].values):
-        best.setdefault(scan.effects[i][0].name, int(i))
-    found = []
-    for name, i in best.items():
-        candidate, shape = scan.effects[i]
-        distinct = float(scan.distinct[i])
-        remark = "nearly indistinguishable from parameters of the model" if distinct < NEARLY else ""
-        amplitude = values["clean"].amplitudes[i].tolist()
-        estimate = {**dict(zip(candidate.coefficients, amplitude, strict=False)), **shape}
-        base, clean, white = (float(v.values[i]) for v in values.values())
-        found.append(Scored(name, candidate.explanation, estimate, base, clean, white, distinct, remark))
-    by_name = {c.name: c for c in search.cache.candidates}
-    for name in scan.lost:
-        remark = "indistinguishable from parameters of the model"
-        found.append(Scored(name, by_name[name].explanation, {}, 0.0, 0.0, 0.0, 0.0, remark))
-    return found
 
 
 # How a search ended before its end, in words.
@@ -273,34 +113,13 @@ def diagnose(
     check_fit(fit)
     others = validation_given(fit, validation)
     free = freed(fit, others, biases)
-    no_faults: tuple[list[SensorFault], FitResult] = ([], fit)
-    faults, fit = _within(deadline, partial(sensor_faults, fit), no_faults)
-    others = without_faults(others, faults) if faults else others
-    unsigned = _within(deadline, partial(unsigned_sensor, fit), None)
-    fit = unsigned.fit if unsigned is not None else fit
-    begun = collocated(fit) if fit.status in ENDED_WELL else fit
-    restart = None
-    if begun.status not in ENDED_WELL:
-        not_again = f"The fit ended as '{begun.status}', and the diagnosis before it could be estimated again"
-        restart = _within(deadline, partial(restarted, begun, others), Restart(None, not_again))
-    if restart is not None:
-        if restart.fit is None:
-            none: list[Refit] = []
-            likelier = _within(deadline, partial(_with_optimum, begun, candidates), none)
-            return no_optimum(fit, restart.words, likelier, time.perf_counter() - started)
-        fit = begun = restart.fit
-    base = Refit((), begun)
-    check_size(base)
-    thin = thinned(base, others) if restart is None else None
-    if thin is not None:
-        base, others, fit = thin.base, thin.validation, thin.base.fit
-    parts = parts_of(base, others) if restart is None or restart.segments is None else None
-    if parts is not None:
-        base, others, fit = parts.base, parts.validation, parts.base.fit
-    segments = restart.segments if restart is not None and restart.segments else segments_of(base, others)
-    if segments is not None:
-        base, others, fit = segments.base, segments.validation, segments.base.fit
-    listed = candidates_given(fit, candidates, base)
+    records = _prepared(fit, others, deadline)
+    if records.base is None:
+        assert records.restart is not None
+        none: list[Refit] = []
+        likelier = _within(deadline, partial(_with_optimum, records.fit, candidates), none)
+        return no_optimum(records.given, records.restart.words, likelier, time.perf_counter() - started)
+    listed = candidates_given(records.fit, candidates, records.base)
     unfitted = ""
     with _shown(progress) as watch, one_blas_thread():
 
@@ -308,132 +127,168 @@ def diagnose(
             check_time()
             watch(text)
 
-        search = Search(base, listed, others, step, free)
+        search = Search(records.base, listed, records.others, step, free)
         try:
             search.cache.try_validation()
         except DataError as error:
             unfitted = f"{str(error).removeprefix('diagnose: ')}: it is left out."
-            others, free = (), None
-            search = Search(base, listed, others, step, free)
+            free = None
+            search = Search(records.base, listed, (), step, free)
         except KeyboardInterrupt:
             pass  # it is noticed again below
-        result = SearchResult(base, base)
-        remainder: Remainder | None = None
-        between: list[RecordedInput] = []
-        sampled: SampledInputs | None = None
-        changes: list[RecordChange] = []
         with deadline.in_force():
-            # Now, while what the search needs next is at hand.
-            ranking, interrupted = _ranked(search, base)
-            if not interrupted:
-                interrupted = with_proposals(search, lambda near: candidates_given(fit, candidates, near))
-            as_recorded = search
-            if not interrupted:
-                following, interrupted = with_recorded_input(search)
-                while following is not None:
-                    # All else is sought with the input as it acts.
-                    between.append(following)
-                    on = search.without_noise if following.kind == "noise" else search.on
-                    search = on(following.refit, following.validation)
-                    result = SearchResult(following.refit, following.refit)
-                    following, interrupted = with_recorded_input(search)
-            if not interrupted:
-                result = search.run()
-                interrupted = result.interrupted
-            if not interrupted:
-                search, result, between, interrupted = with_inputs_as_recorded(as_recorded, search, result, between)
-            before = search
-            if not interrupted and segments is None and not (parts is not None and parts.several):
-                search, result, changes, interrupted = with_record_changes(search, result)
-            if not interrupted:
-                search, result, sampled, interrupted = with_inputs_as_sampled(search, result)
-            if not interrupted:
-                result, remainder, interrupted = with_remainder(search, result)
-            if not interrupted:
-                result, remainder = without_stand_ins(search, result, remainder)
-        ended = deadline.ended() if interrupted else ""
-        with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
-            final, found = result.final, result.found
-            kept = final if interrupted else search.shared(final)
-            # Of long records the parts were searched.
-            every = parts.estimated(kept) if parts is not None and not interrupted else None
-            findings = [finding_of(result, f, _is_minor(search, result, f, kept), every or kept) for f in found]
-            told = [b for b in between if b.kind != "cubic"]
-            units, margin = fit.model.units, RemainderSettings().margin
-            held = [finding_of_recorded_input(b, margin, units.get(b.name, "")) for b in told]
-            held += [finding_of_record_change(c) for c in changes]
-            held[:0] = [finding_of_unsigned_sensor(unsigned)] if unsigned is not None else []
-            held[:0] = [finding_of_sensor_fault(f) for f in faults]
-            findings[:0] = held
-            # In white residuals inputs that were sampled too slowly leave what looks like noise of them.
-            slowly = sampled is not None and not is_structured(search.cache.base, RemainderSettings().structure)
-            known = {b.cause for b in told}
-            if (
-                remainder is not None
-                and known.isdisjoint((remainder.disturbance.name, *remainder.rivals))
-                and not (slowly and remainder.is_noise)
-            ):
-                findings.append(finding_of_remainder(remainder, fit, RemainderSettings().margin))
-            extension = search.extension(kept, known=interrupted)
-            full = search.extension(result.full, known=interrupted) if result.full is not kept else None
-            if parts is not None:
-                extension = parts.extension(extension, every)
-            if changes:
-                extension = with_changes(extension, before, changes)
-                full = full and with_changes(full, before, changes)
-            interrupted = interrupted or pressed() > 0
-        ended = ended or ("interrupted" if interrupted else "")
-        laws: list[str] = []
-        if not interrupted:
-            with deadline.in_force():
-                laws = words_of_laws(other_laws(search, kept))
-                first = len(held)
-                findings[first : first + len(found)] = [
-                    replace(each, advice=each.advice or advice_of(search, result, f.candidate, each.aliases))
-                    if each.status == "named"
-                    else each
-                    for each, f in zip(findings[first:], found, strict=False)
-                ]
-        elif not ranking and not deadline.passed():
-            ranking, _ = _ranked(search, base)
+            differ = records.segments is None and not (records.parts is not None and records.parts.several)
+            about = partial(candidates_given, records.fit, candidates)
+            state = State.begun(search).after(stages(about, differ))
+        told = _told(records, state, deadline)
     with interrupts():
-        corrected = search.cache.base
-        if corrected is not base and ranking and not ended:
-            ranking = tuple(ranking_of(search, search.cache.scan(corrected)))
-        scan = search.cache.scan(corrected) if ranking or not ended else None
-        notes = (*_notes(scan, final, listed, others, free, ended, search.settings.most), *result.remarks, *laws)
-        alone = [c.name for c in final.candidates if c.name not in kept.names]
-        if alone:
-            notes = (*notes, _OF_THESE_RECORDS.format(", ".join(alone)))
-        notes = (
-            *notes,
-            *words_of_inputs(between, sampled),
-            *([segments.note] if segments else []),
-            *([parts.note] if parts else []),
-            *([thin.note] if thin else []),
-        )
-        notes = (*([restart.words] if restart else []), *([unfitted] if unfitted else []), *notes)
+        notes = _all_notes(records, state, told, listed, free, unfitted)
         # An input that is held is a finding; one that was sampled slowly is none, nor what comes of it.
-        diagnosed = corrected.fit if sampled or any(b.kind == "cubic" for b in between) else fit
-        if parts is not None and diagnosed is fit:
-            diagnosed = parts.whole.fit
+        corrected = state.sampled is not None or any(b.kind == "cubic" for b in state.inputs)
+        whole = records.parts.whole.fit if records.parts is not None else records.fit
         return DiagnosisResult(
-            fit=diagnosed,
-            findings=tuple(findings),
-            ranking=ranking,
-            threshold=search.assessment.threshold(),
+            fit=state.search.cache.base.fit if corrected else whole,
+            findings=tuple(told.findings),
+            ranking=told.ranking,
+            threshold=state.search.assessment.threshold(),
             notes=notes,
-            interrupted=interrupted,
+            interrupted=told.interrupted,
             seconds=time.perf_counter() - started,
-            _extension=extension,
-            _full=full,
-            _inputs=(
-                *(f.cause for f in faults),
-                *([unsigned.cause] if unsigned is not None else []),
-                *(b.cause for b in told),
-            ),
-            _validation=tuple(search.cache.validation),
+            _extension=told.extension,
+            _full=told.full,
+            _inputs=(*records.causes, *(b.cause for b in state.inputs if b.kind != "cubic")),
+            _validation=tuple(state.search.cache.validation),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Records:
+    """What is searched: the records without the faults of their sensors, or parts of them.
+
+    given     the fit to diagnose, of the records without these faults; ``fit``: of what is searched.
+    base      the same, at an optimum; None where there is none.
+    others    the validation records, like the records.
+    faults, unsigned, restart, thin, parts, segments   what was done to come to this; None or empty where not needed.
+    """
+
+    given: FitResult
+    fit: FitResult
+    base: Refit | None
+    others: Sequence[Experiment]
+    faults: Sequence[SensorFault] = ()
+    unsigned: UnsignedSensor | None = None
+    restart: Restart | None = None
+    thin: Thinned | None = None
+    parts: Parts | None = None
+    segments: Segments | None = None
+
+    @property
+    def causes(self) -> list[str]:
+        """Causes that were found in the samples themselves."""
+        return [f.cause for f in self.faults] + ([self.unsigned.cause] if self.unsigned is not None else [])
+
+    @property
+    def findings(self) -> list[Finding]:
+        """What is told of these."""
+        faults = [finding_of_sensor_fault(f) for f in self.faults]
+        return faults + ([finding_of_unsigned_sensor(self.unsigned)] if self.unsigned is not None else [])
+
+
+def _prepared(fit: FitResult, others: Sequence[Experiment], deadline: Deadline) -> _Records:
+    """Return what is searched of a fit and the validation records."""
+    no_faults: tuple[list[SensorFault], FitResult] = ([], fit)
+    faults, fit = _within(deadline, partial(sensor_faults, fit), no_faults)
+    others = without_faults(others, faults) if faults else others
+    unsigned = _within(deadline, partial(unsigned_sensor, fit), None)
+    fit = unsigned.fit if unsigned is not None else fit
+    begun = collocated(fit) if fit.status in ENDED_WELL else fit
+    records = _Records(fit, begun, None, others, faults, unsigned)
+    if begun.status not in ENDED_WELL:
+        not_again = f"The fit ended as '{begun.status}', and the diagnosis before it could be estimated again"
+        restart = _within(deadline, partial(restarted, begun, others), Restart(None, not_again))
+        records = replace(records, restart=restart)
+        if restart.fit is None:
+            return records
+        begun = restart.fit
+    base = Refit((), begun)
+    check_size(base)
+    again = records.restart is not None
+    thin = None if again else thinned(base, others)
+    base, others = (base, others) if thin is None else (thin.base, thin.validation)
+    segments = records.restart.segments if records.restart is not None else None
+    parts = parts_of(base, others) if segments is None else None
+    base, others = (base, others) if parts is None else (parts.base, parts.validation)
+    segments = segments or segments_of(base, others)
+    base, others = (base, others) if segments is None else (segments.base, segments.validation)
+    # That of a fit as it was given is the user's own, on its own mesh.
+    own = fit if not again and thin is None and parts is None and segments is None else base.fit
+    return replace(records, fit=own, base=base, others=others, thin=thin, parts=parts, segments=segments)
+
+
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """What is told of a state: findings, in their order, the extension by those that are kept, and that by all."""
+
+    findings: Sequence[Finding]
+    ranking: tuple[Scored, ...]
+    kept: Refit
+    laws: Sequence[str]
+    extension: ExtensionResult
+    full: ExtensionResult | None
+    interrupted: bool
+    ended: str
+
+
+def _told(records: _Records, state: State, deadline: Deadline) -> _Told:
+    """Return what is told of a state, with what more is to be worked out for that within the time limit."""
+    search, result = state.search, state.result
+    ended = deadline.ended() if state.interrupted else ""
+    with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
+        kept = result.final if state.interrupted else search.shared(result.final)
+        # Of long records the parts were searched.
+        parts = records.parts
+        every = parts.estimated(kept) if parts is not None and not state.interrupted else None
+        margin, units = RemainderSettings().margin, records.fit.model.units
+        inputs = [b for b in state.inputs if b.kind != "cubic"]
+        before = records.findings
+        before += [finding_of_recorded_input(b, margin, units.get(b.name, "")) for b in inputs]
+        before += [finding_of_record_change(c) for c in state.changes]
+        terms = [finding_of(result, f, _is_minor(search, result, f, kept), every or kept) for f in result.found]
+        rest = []
+        if state.remainder is not None and not _is_of_inputs(state):
+            rest.append(finding_of_remainder(state.remainder, records.fit, margin))
+        extension = state.extension(kept)
+        full = state.extension(result.full) if result.full is not kept else None
+        if parts is not None:
+            extension = parts.extension(extension, every)
+        interrupted = state.interrupted or pressed() > 0
+    ended = ended or ("interrupted" if interrupted else "")
+    ranking, laws = state.ranking, list[str]()
+    if not interrupted:
+        with deadline.in_force():
+            laws = words_of_laws(other_laws(search, kept))
+            terms = [
+                replace(each, advice=each.advice or advice_of(search, result, f.candidate, each.aliases))
+                if each.status == "named"
+                else each
+                for each, f in zip(terms, result.found, strict=True)
+            ]
+    elif not ranking and not deadline.passed():
+        ranking = replace(state, interrupted=False).after([ranked]).ranking
+    with interrupts():
+        if search.cache.base is not records.base and ranking and not ended:
+            ranking = tuple(ranking_of(search, search.cache.scan(search.cache.base)))
+    return _Told([*before, *terms, *rest], ranking, kept, laws, extension, full, interrupted, ended)
+
+
+def _is_of_inputs(state: State) -> bool:
+    """Tell whether what is left is that of an input that was found, or comes of inputs that were sampled too slowly: in
+    white residuals these leave what looks like noise of them."""
+    remainder = state.remainder
+    assert remainder is not None
+    known = {b.cause for b in state.inputs if b.kind != "cubic"}
+    slowly = state.sampled is not None and not is_structured(state.search.cache.base, RemainderSettings().structure)
+    return not known.isdisjoint((remainder.disturbance.name, *remainder.rivals)) or (slowly and remainder.is_noise)
 
 
 def _within(deadline: Deadline, work: Callable[[], _Found], otherwise: _Found) -> _Found:
@@ -443,15 +298,6 @@ def _within(deadline: Deadline, work: Callable[[], _Found], otherwise: _Found) -
             return work()
     except KeyboardInterrupt:
         return otherwise
-
-
-def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:
-    """Return the first scan, and whether it was interrupted: then there is none."""
-    try:
-        search.cache.try_validation()
-        return tuple(ranking_of(search, search.cache.scan(base))), False
-    except KeyboardInterrupt:
-        return (), True
 
 
 def _shown(progress: Any) -> Any:
@@ -483,6 +329,38 @@ def _steps_shown() -> Iterator[Callable[[str], None]]:
         yield show
     finally:
         line.keep()
+
+
+def _with_optimum(fit: FitResult, candidates: Any) -> list[Refit]:
+    try:
+        return with_optimum(fit, candidates_given(fit, candidates, Refit((), fit)))
+    except EvaluationError:  # not to be linearised where it was left
+        return []
+
+
+def _all_notes(
+    records: _Records,
+    state: State,
+    told: _Told,
+    listed: Sequence[Candidate],
+    free: Sequence[str] | None,
+    unfitted: str,
+) -> tuple[str, ...]:
+    """Return the notes: on the records, on the search, and on what it found."""
+    search, final = state.search, state.result.final
+    scan = search.cache.scan(search.cache.base) if told.ranking or not told.ended else None
+    alone = [c.name for c in final.candidates if c.name not in told.kept.names]
+    others = () if unfitted else records.others
+    return (
+        *([records.restart.words] if records.restart is not None else []),
+        *([unfitted] if unfitted else []),
+        *_notes(scan, final, listed, others, free, told.ended, search.settings.most),
+        *state.result.remarks,
+        *told.laws,
+        *([_OF_THESE_RECORDS.format(", ".join(alone))] if alone else []),
+        *words_of_inputs(state.inputs, state.sampled),
+        *(each.note for each in (records.segments, records.parts, records.thin) if each is not None),
+    )
 
 
 def _notes(

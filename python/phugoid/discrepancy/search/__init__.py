@@ -314,23 +314,22 @@ class Search:
         """Return the model with all terms that were found, its fit, and the gain over the base model. With ``known``
         nothing more is fitted to validation data."""
         base, assess = self.cache.base, self.assessment
-        more = len(final.fit.model.parameter_names) - len(base.fit.model.parameter_names)
-        white = final.fit.log_likelihood - base.fit.log_likelihood
         before, after = (assess.held_out_rms(r, known) for r in (base, final))
         held_out = 0.0
         if final.candidates:
             missing = known and self.cache.validation and not (before and after)
             held_out = float("nan") if missing else assess.held_out_as_fitted(base, final)
         gain = Gain(
-            log_likelihood=white,
+            log_likelihood=0.0,
+            bic=0.0,
             log_likelihood_whitened=assess.gain(base, final) / 2 if final.candidates else 0.0,
-            bic=-2.0 * white + more * float(np.log(base.linear.n_rows)),
             held_out=held_out,
             rms_before=base.rms,
             rms_after=final.rms,
             held_out_rms_before=before,
             held_out_rms_after=after,
         )
+        gain = gain.as_fitted(base.fit, final.fit, base.linear.n_rows)
         return ExtensionResult(final.fit.model, final.fit, final.names, gain)
 
 

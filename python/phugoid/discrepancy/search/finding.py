@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -163,6 +163,13 @@ class Gain:
     def channels(self) -> tuple[str, ...]:
         """Names of the channels."""
         return tuple(self.rms_before)
+
+    def as_fitted(self, before: FitResult, after: FitResult, n_rows: int) -> Gain:
+        """Return the same with the likelihood and the criterion of two other fits to the same ``n_rows``
+        measurements."""
+        white = after.log_likelihood - before.log_likelihood
+        more = len(after.parameters) - len(before.parameters)
+        return replace(self, log_likelihood=white, bic=-2.0 * white + more * math.log(n_rows))
 
     def change(self, channel: str, *, held_out: bool = False) -> float:
         """RMS after over RMS before, minus 1: -0.2 is a fifth less. NaN where there is none."""

@@ -14,7 +14,6 @@ from ..candidates.terms import where
 from ..misfit.phrases import number, per_second, percent
 from . import SearchResult
 from .confirmation import Found
-from .data_suspects import UnsignedSensor
 from .disturbance import Disturbance
 from .evidence import is_physical
 from .finding import DiagnosisResult, ExtensionResult, Finding, Gain
@@ -22,7 +21,7 @@ from .record_change import RecordChange
 from .recorded_input import RecordedInput
 from .refit import Refit
 from .remainder import Remainder
-from .sensor_fault import SensorFault
+from .sensor_fault import SensorFault, UnsignedSensor
 
 __all__ = [
     "finding_of",

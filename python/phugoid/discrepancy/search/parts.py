@@ -65,17 +65,9 @@ class Parts:
         """Return an extension with the fit to all samples, ``at``, and what of its gain is known of them."""
         if at is None:
             return of
-        before, after = self.whole.fit, at.fit
-        white = after.log_likelihood - before.log_likelihood
-        more = len(after.model.parameter_names) - len(before.model.parameter_names)
-        gain = replace(
-            of.gain,
-            log_likelihood=white,
-            bic=-2.0 * white + more * float(np.log(self.whole.linear.n_rows)),
-            rms_before=self.whole.rms,
-            rms_after=at.rms,
-        )
-        return replace(of, model=after.model, fit=after, gain=gain)
+        gain = of.gain.as_fitted(self.whole.fit, at.fit, self.whole.linear.n_rows)
+        gain = replace(gain, rms_before=self.whole.rms, rms_after=at.rms)
+        return replace(of, model=at.fit.model, fit=at.fit, gain=gain)
 
 
 def parts_of(base: Refit, validation: Sequence[Experiment]) -> Parts | None:

@@ -1,5 +1,6 @@
 """Faults of sensors and of their recording that the samples themselves show: a sensor that stays at its last value for
-a while, one that is renewed at a lower rate than it is recorded at, and an angle that jumps by a turn."""
+a while, one that is renewed at a lower rate than it is recorded at, an angle that jumps by a turn, and a sensor that
+gives a size without its sign."""
 
 from __future__ import annotations
 
@@ -11,14 +12,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._core import Expr
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ...estimation import estimate
 from ...fit_result import ENDED_WELL, FitResult, dataset, mean_square
+from ...functions import smooth_abs
 from ...residual_noise import resolution_of
 from .recorded_input import noise_of
 
-__all__ = ["SensorFault", "sensor_faults", "without_faults"]
+__all__ = ["SensorFault", "UnsignedSensor", "sensor_faults", "unsigned_sensor", "without_faults"]
 
 _Array = NDArray[np.float64]
 
@@ -36,6 +39,13 @@ _REPEATED, _RENEWED, _REGULAR = 0.3, 12, 0.05
 _ALTERNATING, _LITTLE = -0.2, 0.05
 # An angle wraps where it jumps by a turn, within a part of it, and hardly elsewhere.
 _TURNS, _WITHIN, _STEP = (2.0 * math.pi, 360.0), 0.1, 0.2
+# A sensor that may give no sign: no value below zero by more than so many times its noise, and dips to near zero, of
+# which each side rises again to a part of the largest values.
+_BELOW, _NEAR_ZERO, _RISES, _DIPS = 5.0, 0.1, 0.3, 2
+# Part of the mean square of an output's residuals that a model of its size may leave.
+_LEFT_BY_SIZE = 0.25
+# Rounding of the size at zero, as a part of its largest values, beside the sensor's noise.
+_ROUNDED_SIZE = 0.002
 
 
 @dataclass(frozen=True)
@@ -187,3 +197,66 @@ def _runs(y: _Array) -> list[tuple[int, int]]:
     least = 1 if many else math.ceil(math.log(_BY_CHANCE / z.size) / math.log(twice))
     change = np.flatnonzero(np.diff(same.astype(int)))
     return [(int(known[a]), int(known[b])) for a, b in zip(change[::2], change[1::2], strict=True) if b - a >= least]
+
+
+@dataclass(frozen=True, eq=False)
+class UnsignedSensor:
+    """An output that gives the size of what it measures, without its sign.
+
+    name  of the output.
+    fit   of the model whose output is that size.
+    part  of the mean square of the output's residuals that this explains, in the records of the fit.
+    """
+
+    name: str
+    fit: FitResult
+    part: float
+
+    @property
+    def cause(self) -> str:
+        """Canonical name."""
+        return f"{self.name}:unsigned"
+
+
+def unsigned_sensor(fit: FitResult) -> UnsignedSensor | None:
+    """Return the output whose values can only be the size of what the model has for it; None where there is none.
+
+    A model that is far from such a record says nothing of its motion: the estimation begins anew, where the model does.
+    """
+    data, model = dataset(fit), fit.model
+    for name in model.output_names:
+        measured = [y[np.isfinite(y)] for y in (e.output(name) for e in data)]
+        measured = [y for y in measured if y.size]
+        if not _may_be_size(measured):
+            continue
+        values = np.concatenate(measured)
+        # A path that ended infeasible has no residuals.
+        before = mean_square(fit, name) if fit.feasible else float(np.var(values))
+        if before < _LEFT_BY_SIZE * float(np.var(values)):  # the model follows it as it is
+            continue
+        width = max(*map(noise_of, measured), _ROUNDED_SIZE * float(values.max()))
+        equations = model._right_hand_sides()
+        equations["output", name] = Expr(smooth_abs(equations["output", name], width))
+        try:
+            found = estimate(model._changed(equations=equations), data, noise=fit.noise)
+        except (PhugoidError, np.linalg.LinAlgError):
+            continue
+        if found.status == "interrupted":
+            raise KeyboardInterrupt
+        if found.status in ENDED_WELL and (after := mean_square(found, name)) < _LEFT_BY_SIZE * before:
+            return UnsignedSensor(name, found, 1.0 - after / before)
+    return None
+
+
+def _may_be_size(records: Sequence[NDArray[np.float64]]) -> bool:
+    """Tell whether values are never negative but for noise, and often near zero between larger ones."""
+    largest = max((float(y.max()) for y in records), default=0.0)
+    if largest <= 0.0 or any(float(y.min()) < -_BELOW * noise_of(y) for y in records):
+        return False
+    dips = 0
+    for y in records:
+        level = np.where(y < _NEAR_ZERO * largest, -1, np.where(y > _RISES * largest, 1, 0))
+        level = level[level != 0]
+        turns = np.flatnonzero(np.diff(level))
+        dips += int(np.sum(level[turns[:-1]] > 0)) if turns.size > 1 else 0
+    return dips >= _DIPS

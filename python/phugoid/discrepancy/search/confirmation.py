@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..candidates.candidate import Candidate
-from .evidence import Assessment, Evidence, is_physical
+from .evidence import Assessment, Evidence, is_determined, is_physical
 from .free_run import Explained
 from .refit import HeldOut, Refit
 from .refit_cache import RefitCache
@@ -51,7 +51,8 @@ class Refitting:
         """Return refits with one more candidate, of those that a screen proposes, ``times`` as many as usual, or of the
         simple ones."""
         chosen = self._screen.simple(at) if simple else self._screen.shortlist(at, times)
-        return [t for t in self._cache.refits([[*at.candidates, c] for c in chosen], at.fit) if t is not None]
+        refits = self._cache.refits([[*at.candidates, c] for c in chosen], at.fit)
+        return [t for t in refits if t is not None and is_determined(t, t.candidates[-1])]
 
     def settled(self, at: Refit, rejected: Collection[str] = ()) -> Refit:
         """Return a refit with terms replaced by better ones where there are any, until nothing changes; without those
@@ -100,7 +101,7 @@ class Refitting:
         if fit:
             wanted = self._screen.rivals(without, candidate, filter, s.again, s.alike)
             self._cache.refits([[*others, c] for c in wanted], at.fit)
-        refits = self._cache.with_one_more(others)
+        refits = [r for r in self._cache.with_one_more(others) if all(is_determined(r, c) for c in r.beside(others))]
         reference = at.through(filter).log_likelihood - assess.penalty(at, others) / 2
 
         def margin(r: Refit) -> float:

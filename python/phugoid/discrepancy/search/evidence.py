@@ -21,7 +21,7 @@ from .refit_cache import RefitCache
 from .ringing import is_near, wandering
 from .screen import RICH, complexity
 
-__all__ = ["Assessment", "AssessmentSettings", "Evidence", "chi_square_quantile", "is_physical"]
+__all__ = ["Assessment", "AssessmentSettings", "Evidence", "chi_square_quantile", "is_determined", "is_physical"]
 
 # Families of candidates that tell of the time in a record alone.
 _DRIFTS = ("drift", "variation", "step")
@@ -361,6 +361,19 @@ def is_physical(at: Refit, candidate: Candidate) -> bool:
         return all(by[n] * low <= values[n] <= by[n] * high for n, (low, high) in limits.items())
 
     return are_within(1.0) or are_within(_cancelling(at, candidate.place)) or candidate.has_reason(values)
+
+
+# Families with a size that says nothing where its error is larger: such a lag or limit holds an input where it was.
+_SIZED = ("lag", "rate_limit", "backlash", "deadband", "saturation", "sensor_lag")
+
+
+def is_determined(at: Refit, candidate: Candidate) -> bool:
+    """Tell whether the data determine the size of a lag or of a limit: one that may have any size explains no more than
+    that its input does not act."""
+    if getattr(candidate, "family", "") not in _SIZED or not candidate.shape_names:
+        return True
+    value, error = at.parameters(candidate)[candidate.shape_names[0]]
+    return not error > abs(value)
 
 
 def _cancelling(at: Refit, place: Place) -> float:

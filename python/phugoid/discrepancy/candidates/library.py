@@ -230,6 +230,15 @@ def _term(
     )
 
 
+def _of_inertia(structure: ModelStructure, place: Place) -> list[tuple[Variable, int]]:
+    """Return the states, with a power, that the inertia of a state equation may depend on: a position, whose rate it
+    gives, and what stores energy there itself, as the current in an inductor."""
+    if place.kind != "equation":
+        return []
+    own = [(v, 2) for v in structure.variables if v.kind == "state" and v.symbol == place.name]
+    return own + [(x, k) for x, v in structure.coordinates if v.symbol == place.name for k in (1, 2)]
+
+
 def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names: _Names) -> Iterator[Effect]:
     variables = structure.variables
 
@@ -240,6 +249,13 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
     words = f"{where(place)} is larger by a factor (another mass, inertia or gear ratio)"
     scale = names(f"k_{_stem(place)}")
     yield EquationScale(f"{structure.shown(place)}:scale", place, words, "factor", scales, (scale,))
+    for v, power in _of_inertia(structure, place):
+        shown, suffix = (v.shown, v.shown) if power == 1 else (f"{v.shown}^{power}", f"{v.shown}{power}")
+        words = (
+            f"{where(place)} is larger by a factor that changes with {shown} (mass, inertia or inductance that does)"
+        )
+        name, scale = f"{structure.shown(place)}:scale*{shown}", names(f"k_{_stem(place)}_{suffix}")
+        yield EquationScale(name, place, words, "factor", scales, (scale,), (), (v.symbol,), power=power)
     for form in ("linear", "square", "cube", "quadratic"):
         yield from (term(form, v) for v in structure.declared_in(place))
     if place.kind == "quantity":

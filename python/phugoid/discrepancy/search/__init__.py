@@ -9,7 +9,7 @@ import numpy as np
 
 from ...data.experiment import Experiment
 from ...sensitivities.linearised import Linearised
-from ..candidates.candidate import Candidate
+from ..candidates.candidate import Candidate, Effect, added_by_centre
 from .confirmation import Confirmation, ConfirmationSettings, Found, Refitting, RefittingSettings
 from .evidence import Assessment, AssessmentSettings, is_physical
 from .finding import ExtensionResult, Gain
@@ -31,7 +31,7 @@ class SearchSettings:
     proposes nothing that is confirmed, though the part ``error`` of the residuals' power is predictable, constants and
     linear terms are tried all, and where the part ``doubt`` is, twice as many as the screen proposes. Where no more
     than ``structure`` is predictable, nothing is unexplained. The trim of a function of one variable is estimated where
-    that gains more than ``centre`` in log-likelihood."""
+    that gains more than ``centre`` in log-likelihood, and with it a term less is as good within ``same``."""
 
     screen: ScreenSettings = field(default_factory=ScreenSettings)
     refitting: RefittingSettings = field(default_factory=RefittingSettings)
@@ -44,6 +44,7 @@ class SearchSettings:
     structure: float = 0.05
     half: float = 0.5
     centre: float = 8.0
+    same: float = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,12 +168,55 @@ class Search:
             if following is None or following.names in seen:
                 break
             seen.add(following.names)
-            following = self.cache.centred(following, self.settings.centre)
+            following = self._centred(following)
             minor = minor + 1 if self._is_minor(current, following) else 0
             steps.append(following)
             if minor == self.settings.minor:  # what comes next would be less
                 break
         return unexplained
+
+    def _centred(self, at: Refit) -> Refit:
+        """Return the refit with its last function of a variable about the trim that the data ask for; without a term
+        that was needed only since a function was about another trim, as a constant beside a square."""
+        last = at.candidates[-1]
+        # The square about another centre adds a linear term, which may be missing in its own right.
+        tried = [(at, last)] if getattr(last, "family", "") != "square" else []
+        for c in at.candidates:
+            for other in [o for o in at.candidates if added_by_centre(c, o)]:
+                fewer = self.cache.refit([o for o in at.candidates if o is not other], at.fit)
+                tried += [(fewer, c)] if fewer is not None else []
+        square = self._as_square(at)
+        if square is not None:
+            return square
+        for begun, c in tried:
+            found = self.cache.about_zero(begun, c) if begun is not at else None
+            if found is None or found.merit < at.merit - self.settings.same:
+                found = self.cache.about_own_centre(begun, c, self.settings.centre, at.own.filter)
+            if found is not begun and found.merit > at.merit - self.settings.same:
+                assert isinstance(c, Effect)
+                self.cache.adopt(found, c)
+                return found
+        return at
+
+    def _as_square(self, at: Refit) -> Refit | None:
+        """Return the refit with the square of a variable in place of a constant and x|x| on one side of its trim, where
+        it is as good: both are a square."""
+        bent = [c for c in at.candidates if isinstance(c, Effect) and c.family == "quadratic"]
+        for constant in [c for c in at.candidates if getattr(c, "family", "") == "bias"]:
+            for c in bent:
+                squares = [
+                    o
+                    for o in self.cache.candidates
+                    if isinstance(o, Effect)
+                    and (o.family, o.place, o.variables) == ("square", c.place, c.variables)
+                    and o.name not in at.names
+                ]
+                for square in squares[:1]:
+                    others = [o for o in at.candidates if o is not c and o is not constant]
+                    found = self.cache.refit([*others, square], at.fit)
+                    if found is not None and found.merit > at.merit - self.settings.same:
+                        return found
+        return None
 
     def _plain(self, at: Refit) -> Refit | None:
         """Return the refit with one more constant or linear term, of all that there are, that is confirmed."""
@@ -216,6 +260,7 @@ class Search:
 
         Terms that are not named and make the simulation of data held out no better are not reported.
         """
+        at = self._centred(at) if at.candidates else at
         at = self._preferred(at, self._named(at).names)
         final = self._named(at)
         named = {c.name: c for c in final.candidates}

@@ -16,12 +16,28 @@ from ..candidates.model_structure import addends
 from ..candidates.scales import evaluated
 from ..candidates.terms import Periodic
 from .free_run import Explained, Misfitting, Simulated
-from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, predicted_blocks, predicted_from_blocks
+from .refit import (
+    HeldOut,
+    Refit,
+    across_blocks,
+    gain_on_other_data,
+    is_structured,
+    predicted_blocks,
+    predicted_from_blocks,
+)
 from .refit_cache import RefitCache
 from .ringing import is_near, wandering
 from .screen import RICH, complexity
 
-__all__ = ["Assessment", "AssessmentSettings", "Evidence", "chi_square_quantile", "is_determined", "is_physical"]
+__all__ = [
+    "Assessment",
+    "AssessmentSettings",
+    "Evidence",
+    "chi_square_quantile",
+    "is_determined",
+    "is_physical",
+    "is_plausible",
+]
 
 # Families of candidates that tell of the time in a record alone.
 _DRIFTS = ("drift", "variation", "step")
@@ -225,8 +241,8 @@ class Assessment:
         return found is not None and found.significant and found.part > self.settings.minor
 
     def is_named(self, at: Refit, candidate: Candidate, explained: Explained | None) -> bool:
-        """Tell whether a finding names a cause: physical, and worth it in free simulation beyond chance."""
-        return is_physical(at, candidate) and not self.is_minor(explained)
+        """Tell whether a finding names a cause: of a plausible size, and worth it in free simulation beyond chance."""
+        return is_plausible(at, candidate, explained) and not self.is_minor(explained)
 
     def is_minor(self, explained: Explained | None) -> bool:
         """Tell whether a finding explains less of the misfit than is worth a name, or no more than by chance."""
@@ -361,6 +377,18 @@ def is_physical(at: Refit, candidate: Candidate) -> bool:
         return all(by[n] * low <= values[n] <= by[n] * high for n, (low, high) in limits.items())
 
     return are_within(1.0) or are_within(_cancelling(at, candidate.place)) or candidate.has_reason(values)
+
+
+# Part of the misfit that a cause of any size explains which leaves nothing but noise.
+_ALL, _NOISE = 0.95, 0.05
+
+
+def is_plausible(at: Refit, candidate: Candidate, explained: Explained | None) -> bool:
+    """Tell whether a candidate is of a size that is physical, or leaves nothing but noise of a large misfit, in free
+    simulation too: where large parts of an equation balance each other, one of them is large beside what is left."""
+    if is_physical(at, candidate):
+        return True
+    return explained is not None and explained.interval[0] >= _ALL and not is_structured(at, _NOISE)
 
 
 # Families with a size that says nothing where its error is larger: such a lag or limit holds an input where it was.

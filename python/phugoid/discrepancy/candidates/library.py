@@ -437,6 +437,10 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
     at_once = {*structure.expression(place).symbols}
     inputs = [v for v in structure.variables if v.kind == "input" and v.symbol in at_once]
     yield from (_lagged(structure, place, v, scales, names) for v in inputs)
+    # There the output is more than what a sensor shows: a voltage over a resistance that depends on the charge.
+    states = [v for v in structure.variables if v.kind == "state" and not v.rate]
+    yield from (term("product", v, w) for v in states for w in inputs)
+    yield from (term("square", v) for v in [*inputs, *(x for x in states if x.symbol in at_once and inputs)])
     for v in structure.variables:
         if v.kind == "state" and structure.is_angle(v):
             yield _ripple(structure, place, v, "an eccentric disc, wind against a heading", scales, names)

@@ -17,13 +17,12 @@ from ..candidates.scales import evaluated
 from ..candidates.terms import Periodic
 from .free_run import Explained, Misfitting, Simulated
 from .refit import (
+    Blocks,
     HeldOut,
     Refit,
     across_blocks,
     gain_on_other_data,
     is_structured,
-    predicted_blocks,
-    predicted_from_blocks,
 )
 from .refit_cache import RefitCache
 from .ringing import is_near, wandering
@@ -69,7 +68,7 @@ class AssessmentSettings:
     clear: float = 1.5
     half: float = 0.5
     minor: float = 0.05
-    error: float = 0.8
+    error: float = 0.6
     most: float = 0.5
     chance: float = 0.05
 
@@ -119,6 +118,7 @@ class Assessment:
         self._tries = max(cache.tries, 1)
         # By the refits themselves: two fits of an unknown function may have the same name.
         self._held: dict[tuple[Refit, Refit], HeldOut] = {}
+        self._blocks: dict[tuple[Refit, tuple[str, ...]], Simulated] = {}
         self._in_error: dict[tuple[Refit, Refit], float] = {}
 
     def weigh(self, base: Refit, more: Refit, candidate: Candidate) -> Evidence:
@@ -292,10 +292,11 @@ class Assessment:
     def _from_blocks(self, base: Refit, more: Refit, common: bool) -> Simulated:
         """Errors of the blocks of the records, each predicted by the others, with what a model has beside a base; all
         parameters are ``common`` to the blocks where a drift of one is in question, which own values would hide."""
-        if common:
-            return Simulated.of(more.linear, predicted_from_blocks(more))
-        new = more.beside(base.candidates)
-        return Simulated.of(base.linear, predicted_blocks(base, more, new)[-1][1])
+        key = more, ("all",) if common else tuple(c.name for c in more.beside(base.candidates))
+        if key not in self._blocks:
+            blocks = Blocks.of(more, more.own.filter, more.beside(base.candidates))
+            self._blocks[key] = Simulated.of(more.linear, blocks.common if common else blocks.plain)
+        return self._blocks[key]
 
     def predicts(self, held: HeldOut) -> bool:
         """Tell whether a gain on held-out data is one."""

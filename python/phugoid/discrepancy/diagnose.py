@@ -148,7 +148,7 @@ def diagnose(
         whole = records.parts.whole.fit if records.parts is not None else records.fit
         return DiagnosisResult(
             fit=state.search.cache.base.fit if corrected else whole,
-            findings=tuple(told.findings),
+            findings=tuple(sorted(told.findings, key=lambda f: f.status == "minor")),
             ranking=told.ranking,
             threshold=state.search.assessment.threshold(),
             notes=notes,
@@ -390,8 +390,8 @@ def _notes(
         notes.append(f"The search ends after {most} findings: diagnose the extended fit to continue.")
     if not final.fit.model.quantity_names:
         notes.append(
-            "The model declares no quantities. Candidates for a force or a moment are tried, in all equations at once, "
-            "where it is declared by m.quantities(...)."
+            "The model declares no quantities. Of a force, a flow or a rate that several equations share, candidates act "
+            "on all of them at once where it is declared by m.quantities(...)."
         )
     if ended:
         notes.append(f"{_EARLY[ended]}: the results up to then are given.")

@@ -31,7 +31,7 @@ from .channel_effects import (
 from .collection import Candidates, Directions, read_terms
 from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
-from .model_structure import ANGLES, TURN, ModelStructure, Variable
+from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable
 from .scales import Scales, output_key, trim_of
 from .terms import FORMS, LaggedVariable, ParameterDrift, ParameterStep, Periodic, Rate, Ripple, Term, where
 
@@ -195,14 +195,27 @@ def _library(structure: ModelStructure, scales: Scales, names: _Names) -> Iterat
         if variable.kind == "input" and structure.used(variable.symbol):
             of = _OF_CONDITIONS if model.is_condition(variable.symbol) else FAMILIES
             yield from (c for c in _on_input(structure, variable, scales, names) if c.family in of)
+    yield from _of_the_medium(structure, scales, names)
     yield from _limits(structure, scales, names)
     for name in structure.acting:
         words, place = f"{name} changes during the record", Place("parameter", name)
         yield ParameterDrift(f"{name}:drift", place, words, "variation", scales, (names(f"drift_{name}"),))
     for name in structure.acting:
-        words, place = f"{name} jumps during the record (a load dropped, a part that failed)", Place("parameter", name)
+        words, place = (
+            f"{name} changes abruptly during the record (a load, a setting, a failure)",
+            Place("parameter", name),
+        )
         shape = (names(f"time_of_step_{name}"),)
         yield ParameterStep(f"{name}:step", place, words, "step", scales, (names(f"step_{name}"),), shape)
+
+
+def _of_the_medium(structure: ModelStructure, scales: Scales, names: _Names) -> Iterator[Effect]:
+    """Yield constants in the kinematics of positions: a wind or a current, which carries the vehicle along."""
+    model = structure.model
+    for name, e in structure.dynamics.items():
+        place = Place("equation", name)
+        if len({*e.symbols}) > 1 and model.units.get(name, "") in LENGTHS and place not in structure.places:
+            yield _term(structure, place, "bias", (), scales, names)
 
 
 def _term(

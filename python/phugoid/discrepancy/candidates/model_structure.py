@@ -11,7 +11,7 @@ from ..._core import Expr
 from ...modelling.model import Model
 from ...sensitivities import Place
 
-__all__ = ["ANGLES", "ANGULAR_RATES", "TURN", "ModelStructure", "Variable", "addends"]
+__all__ = ["ANGLES", "ANGULAR_RATES", "LENGTHS", "TURN", "ModelStructure", "Variable", "addends"]
 
 TURN = {"rad": 2.0 * math.pi, "deg": 360.0, "°": 360.0}
 """Unit of an angle -> a turn in it."""
@@ -27,6 +27,9 @@ _SINES, _JUMPS = ("sin", "cos", "tan"), ("sign", "tanh", "atan")
 
 ANGULAR_RATES = ("rad/s", "deg/s", "°/s", "1/s")
 """Units of angular rates."""
+
+LENGTHS = ("m", "km", "ft", "nmi", "NM")
+"""Units of positions."""
 
 
 @dataclass(frozen=True)

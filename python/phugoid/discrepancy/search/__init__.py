@@ -31,7 +31,8 @@ class SearchSettings:
     proposes nothing that is confirmed, though the part ``error`` of the residuals' power is predictable, constants and
     linear terms are tried all, and where the part ``doubt`` is, twice as many as the screen proposes. Where no more
     than ``structure`` is predictable, nothing is unexplained. The trim of a function of one variable is estimated where
-    that gains more than ``centre`` in log-likelihood, and with it a term less is as good within ``same``."""
+    that gains more than ``centre`` in log-likelihood, and with it a term less is as good within ``same``.
+    A cause gives way to another one that is ahead of it by ``ahead`` in twice the log-likelihood beside the others."""
 
     screen: ScreenSettings = field(default_factory=ScreenSettings)
     refitting: RefittingSettings = field(default_factory=RefittingSettings)
@@ -45,6 +46,7 @@ class SearchSettings:
     half: float = 0.5
     centre: float = 8.0
     same: float = 3.0
+    ahead: float = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,20 +291,21 @@ class Search:
         return at
 
     def _preferred(self, at: Refit, names: Collection[str]) -> Refit:
-        """Return the refit with the most plausible of causes that are the same but for rounding: which one is named
-        must not depend on that."""
+        """Return the refit with the most plausible of causes that are the same but for rounding, on which it must not
+        depend which one is named; and with causes that are likelier beside what came later, and no richer."""
         for name in names:
             candidate = next(c for c in at.candidates if c.name == name)
             others = [c for c in at.candidates if c is not candidate]
             best, rank = at, plausibility(candidate, self.cache.base.fit.model)
-            for r, _ in self.refitting.rivals(at, candidate):
+            for r, ahead in self.refitting.rivals(at, candidate):
                 if r is at or r.names == at.names:
                     continue
                 (new,) = r.beside(others)
                 own = plausibility(new, self.cache.base.fit.model)
                 # With more unknowns it would be as likely by being able to be many things.
                 richer = len(new.parameters) > len(candidate.parameters) or complexity(new) > complexity(candidate)
-                if own >= rank or richer or not is_physical(r, new) or not is_equal(at, r):
+                likelier = best is at and ahead > self.settings.ahead
+                if richer or not is_physical(r, new) or not (likelier or (own < rank and is_equal(best, r))):
                     continue
                 if self.assessment.is_named(r, new, self.confirmation.explained(r, new)):
                     best, rank = r, own

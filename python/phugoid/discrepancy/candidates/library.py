@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, combinations_with_replacement
+from itertools import combinations, combinations_with_replacement, permutations
 from typing import Any, Literal
 
 from ..._core import Expr
@@ -282,6 +282,8 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
     yield from (term("damping, rate first", v, w) for v, w in combinations(states, 2) if v.rate)
     inputs = [v for v in variables if v.kind == "input"]
     yield from (term("effectiveness", v, w) for v in states if not v.rate for w in inputs)
+    slow = [v for v in states if not v.rate]
+    yield from (term("effectiveness", v, w) for v, w in permutations(slow, 2) if structure.interact(place, v, w))
     yield from (term(form, *factors) for form, factors in _of_rotation(structure, place))
     for form in ("cube", "quadratic", "absolute"):
         yield from (term(form, v) for v in variables)

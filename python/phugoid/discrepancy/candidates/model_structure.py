@@ -167,6 +167,14 @@ class ModelStructure:
         groups = (self.quantities, self.dynamics, self.outputs)
         return any(_is_within(e, name, _SINES) for group in groups for e in group.values() if name in e.symbols)
 
+    def interact(self, place: Place, one: Variable, other: Variable) -> bool:
+        """Tell whether what one variable does at a place depends on another one, as in a reaction of two substances."""
+        e = self.expression(place)
+        if not {one.symbol, other.symbol} <= {*e.symbols}:
+            return False
+        mixed = Expr(Expr(e.diff(one.symbol)).diff(other.symbol)).constant
+        return mixed is None or mixed != 0.0
+
     def has_friction(self, place: Place, name: str) -> bool:
         """Tell whether a jump with the sign of a rate stands at a place already, sharp or rounded."""
         return _is_within(self.expression(place).simplify(), name, _JUMPS)

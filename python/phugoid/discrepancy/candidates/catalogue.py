@@ -57,7 +57,7 @@ def stem(place: Place) -> str:
 
 
 class Catalogue:
-    """Makes the effects that a model may be missing, with ``scales`` for a record and parameters called by ``names``."""
+    """Makes the effects that a model may miss, with ``scales`` for a record and parameters called by ``names``."""
 
     def __init__(self, structure: ModelStructure, scales: Scales, names: Names) -> None:
         self.structure, self.scales, self.names = structure, scales, names
@@ -323,8 +323,9 @@ class Catalogue:
         yield from (self._lagged(place, v) for v in inputs)
         # There the output is more than what a sensor shows: a voltage over a resistance that depends on the charge.
         states = [v for v in self.structure.variables if v.kind == "state" and not v.rate]
-        yield from (term("product", v, w) for v in states for w in inputs)
-        yield from (term("square", v) for v in [*inputs, *(x for x in states if x.symbol in at_once and inputs)])
+        through = [v for v in inputs if self.structure.is_weighed(place, v)]
+        yield from (term("product", v, w) for v in states for w in through)
+        yield from (term("square", v) for v in [*through, *(x for x in states if x.symbol in at_once and through)])
         for v in self.structure.variables:
             if v.kind == "state" and self.structure.is_angle(v):
                 yield self._ripple(place, v, "an eccentric disc, wind against a heading")

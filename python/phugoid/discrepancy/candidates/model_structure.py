@@ -175,6 +175,12 @@ class ModelStructure:
         mixed = Expr(Expr(e.diff(one.symbol)).diff(other.symbol)).constant
         return mixed is None or mixed != 0.0
 
+    def is_weighed(self, place: Place, variable: Variable) -> bool:
+        """Tell whether what a variable does at a place depends on a parameter that is estimated."""
+        e = self.expression(place)
+        slope = Expr(e.diff(variable.symbol)) if variable.symbol in e.symbols else Expr(0.0)
+        return bool(self._parameters & {*slope.symbols})
+
     def has_friction(self, place: Place, name: str) -> bool:
         """Tell whether a jump with the sign of a rate stands at a place already, sharp or rounded."""
         return _is_within(self.expression(place).simplify(), name, _JUMPS)

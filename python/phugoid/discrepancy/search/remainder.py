@@ -265,7 +265,10 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         return None
     gain = option.merit - coloured
     other = search.cache.on_validation(option.at)
-    if _share(search, option.at, d) < search.assessment.settings.minor:
+    # What the terms explain in free simulation is no disturbance.
+    by_terms = search.assessment.explained(search.cache.base, option.at) if option.at.candidates else None
+    left = 1.0 - by_terms.part if by_terms is not None else 1.0
+    if min(_share(search, option.at, d), left) < search.assessment.settings.minor:
         return None
     held_out = float("nan")
     if d.kind in ("noise", "event"):

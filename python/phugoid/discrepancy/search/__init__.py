@@ -315,7 +315,7 @@ class Search:
     def _named(self, full: Refit) -> Refit:
         """Return the refit with causes that are named only.
 
-        Of terms that are no cause the one that explains least is left out first: beside it another may look needless.
+        Of terms that are no cause that is left out first which is needed least: beside it another may look needless.
         """
         at = full
         while True:
@@ -324,12 +324,14 @@ class Search:
             weak = [c for c in at.candidates if not assess.is_named(at, c, explained[c.name]) or self._wanders(at, c)]
             if not weak:
                 return at
-            # Of terms that stand for each other the simpler one stays.
-            weak.sort(key=lambda c: (-complexity(c), e.part if (e := explained[c.name]) else 0.0))
-            # Where one set cannot be fitted another may.
+            # Of terms that stand for each other the simpler one stays, of those alike what is likelier without the
+            # other; where one set cannot be fitted another may.
             sets = [[c for c in at.candidates if c is not w] for w in weak]
-            sets.append([c for c in at.candidates if c not in weak])
-            following = next((r for s in sets if (r := self.cache.refit(s, at.fit)) is not None), None)
+            refits = self.cache.refits(sets, at.fit)
+            fitted = [(complexity(w), r) for w, r in zip(weak, refits, strict=True) if r is not None]
+            following = max(fitted, key=lambda pair: (pair[0], pair[1].merit), default=(0, None))[1]
+            if following is None:
+                following = self.cache.refit([c for c in at.candidates if c not in weak], at.fit)
             if following is None:
                 return at
             at = following

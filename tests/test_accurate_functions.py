@@ -67,7 +67,7 @@ def test_a_hill_equation_is_fitted_from_a_state_that_begins_at_zero() -> None:
     y = ph.simulate(m, {"a": 1.5, "K": 2.5, "n": 2.2}, run).outputs
     rng = np.random.default_rng(1)
     run = run.with_outputs({name: y[name] + 0.002 * rng.standard_normal(t.size) for name in ("p", "g")})
-    for begin in (0.6, 1.0, 2.5):
+    for begin in (0.6, 1.0, 2.5, 3.0):
         fit = ph.estimate(m, run, start={"n": begin})
         assert fit.status == "converged"
         assert fit.parameters["n"].value == pytest.approx(2.2, abs=5.0 * fit.parameters["n"].std_error)

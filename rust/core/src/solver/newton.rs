@@ -154,9 +154,7 @@ impl<'a> Newton<'a> {
                 let phase = settings.gauss_newton.then_some(&mut *exact);
                 // With standard deviations that are too large all that a step promises is small.
                 let settling = !was_exact && promise.is_small() && !iterate.update_noise(program, 1.0);
-                if !settling
-                    && let Some(ending) = stuck(program, iterate, &mut factored, &promise, phase)
-                {
+                if !settling && let Some(ending) = stuck(program, iterate, &mut factored, &promise, phase) {
                     return Ok(ending);
                 }
             }

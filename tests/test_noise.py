@@ -477,7 +477,7 @@ def test_noise_that_does_not_fit_the_outputs(noise: Any, words: str) -> None:
             "contradict each other",
         ),
         (Gaussian(covariance=R3), {"sigma_y1": 1.0}, "the covariance is known, and sigma_y1 with it"),
-        (Gaussian(), {"corr_y1_y2": 0.5}, "'corr_y1_y2' is no parameter"),
+        (Gaussian(), {"corr_y1_y2": 0.5}, "'corr_y1_y2' is not a parameter"),
         (StudentT(dof=None), {"dof_y1": 1000.0}, "'dof_y1' = 1000.0 lies outside its bounds"),
         (Density(some_bad, parameters=BAD), {"share_y1": 0.9}, "'share_y1' = 0.9 lies outside its bounds"),
     ],

@@ -220,7 +220,7 @@ def test_wrong_conditions_are_refused() -> None:
         m.check()
     m = oscillator()
     m.final(x=0.0)
-    with pytest.raises(ph.ModelError, match="nothing is left to choose"):
+    with pytest.raises(ph.ModelError, match="would leave nothing to estimate"):
         m.final(v=0.0)
 
 

@@ -406,7 +406,7 @@ def test_equation_that_is_no_expression(bad: Any) -> None:
 
 def test_output_with_more_than_a_unit() -> None:
     m, x, *_ = lag()
-    with pytest.raises(ModelError, match="outputs of 'x' .* a tuple is no expression"):
+    with pytest.raises(ModelError, match="outputs of 'x' .* a tuple is neither an expression"):
         m.outputs(x=(x, "m", "extra"))
 
 

@@ -476,7 +476,7 @@ def test_noise_that_does_not_fit_the_outputs(noise: Any, words: str) -> None:
             {"corr_y1_y2": 0.9, "corr_y2_y3": 0.9, "corr_y1_y3": -0.9},
             "contradict each other",
         ),
-        (Gaussian(covariance=R3), {"sigma_y1": 1.0}, "the covariance is known, and sigma_y1 with it"),
+        (Gaussian(covariance=R3), {"sigma_y1": 1.0}, "the covariance is known, and it contains sigma_y1"),
         (Gaussian(), {"corr_y1_y2": 0.5}, "'corr_y1_y2' is not a parameter"),
         (StudentT(dof=None), {"dof_y1": 1000.0}, "'dof_y1' = 1000.0 lies outside its bounds"),
         (Density(some_bad, parameters=BAD), {"share_y1": 0.9}, "'share_y1' = 0.9 lies outside its bounds"),

@@ -71,3 +71,23 @@ def test_a_hill_equation_is_fitted_from_a_state_that_begins_at_zero() -> None:
         fit = ph.estimate(m, run, start={"n": begin})
         assert fit.status == "converged"
         assert fit.parameters["n"].value == pytest.approx(2.2, abs=5.0 * fit.parameters["n"].std_error)
+
+
+def test_a_logarithm_of_zero_where_nothing_is_measured_is_no_obstacle() -> None:
+    """The concentration before a dose is absorbed is zero, and its logarithm is measured later."""
+    m = ph.Model("absorption")
+    depot, plasma = m.states(depot="mg", plasma="mg")
+    ka, ke = m.parameters(ka=0.5, ke=0.3)
+    m.dynamics(depot=-ka * depot, plasma=ka * depot - ke * plasma)
+    m.outputs(logc=ph.log(plasma))
+    m.initial(depot=100.0, plasma=0.0)
+    t = np.linspace(0.0, 10.0, 21)
+    run = ph.Experiment(t, {}, {"logc": np.where(t > 0.0, 0.0, np.nan)})
+    y = ph.simulate(m, {"ka": 1.2, "ke": 0.2}, run).outputs["logc"]
+    assert np.isfinite(y[1:]).all() and y[0] == -np.inf
+    with pytest.raises(ph.EvaluationError, match="logc"):
+        ph.simulate(m, {"ka": 1.2, "ke": 0.2}, ph.Experiment(t, {}, {}))
+    noise = 0.01 * np.random.default_rng(1).standard_normal(t.size)
+    fit = ph.estimate(m, run.with_outputs({"logc": np.where(t > 0.0, y + noise, np.nan)}))
+    assert fit.status == "converged"
+    assert fit.parameters["ka"].value == pytest.approx(1.2, abs=5.0 * fit.parameters["ka"].std_error)

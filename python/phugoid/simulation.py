@@ -59,8 +59,9 @@ def simulate(
     ``rtol``: error that a step may make, relative to the state. ``time_limit``: most time to spend, in s.
 
     Raises ModelError for a missing or unknown parameter, DataError for missing inputs, OptionError for a wrong
-    method, tolerance or time limit, EvaluationError where the solution ceases to exist, an output is not finite or the
-    time limit is reached, with the time. Ctrl-C ends it (KeyboardInterrupt).
+    method, tolerance or time limit, EvaluationError where the solution ceases to exist, an output is not finite (where
+    the experiment has that output: at a sample that is measured) or the time limit is reached, with the time. Ctrl-C
+    ends it (KeyboardInterrupt).
     """
     if not isinstance(model, Model):
         raise ModelError(f"simulate: the first argument is a Model, not a {type(model).__name__}")
@@ -96,11 +97,12 @@ def simulate(
 def _record(model: Model, data: Experiment) -> tuple[Any, ...]:
     """Return the experiment as the core takes it; outputs need not be measured."""
     missing = np.full(data.n, np.nan)
+    there = {*data.outputs, *data.channels}
     return (
         data.name,
         np.ascontiguousarray(data.t),
         [np.ascontiguousarray(data.input(n)) for n in model.input_names],
-        [missing for _ in model.output_names],
+        [np.ascontiguousarray(data.output(n)) if n in there else missing for n in model.output_names],
         [data.interpolation_of(n) for n in model.input_names],
         [data.signal(n) for n in model.input_names],
     )

@@ -93,6 +93,8 @@ def petab(
         if total is not None and nominal is not None and total < nominal - 0.1:
             print("The nominal point is better than all that was found: take more starts.")
         print(f"\n{many.summary()}")
+        if read.constant:
+            print(f"\nLog-likelihoods of the starts are without the constant of the problem, {read.constant:.5f}.")
         for path in written:
             print(f"\nWritten: {path}")
     if many.status == "interrupted":

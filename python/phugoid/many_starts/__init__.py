@@ -201,12 +201,16 @@ class Multistart:
     def _entries(self) -> dict[str, str]:
         """Return the facts of the starts, by heading."""
         done, converged = len(self.outcomes), [o for o in self.outcomes if o.converged]
+        ended = [o for o in self.outcomes if o.at_optimum]
         entries = {"starts": f"{self.n}, all finished"}
         if self.status != "complete":
             entries["starts"] = f"{done} of {self.n} finished; the same call with the same journal goes on"
         entries["converged"] = f"{len(converged)}" + (f" ({100 * len(converged) / done:.3g} %)" if done else "")
-        if converged:
-            iterations = [o.iterations for o in converged]
+        if len(ended) > len(converged):
+            share = f"{len(ended)} ({100 * len(ended) / done:.3g} %)"
+            entries["at an optimum"] = f"{share}, with those where the data do not determine all parameters"
+        if ended:
+            iterations = [o.iterations for o in ended]
             entries["iterations"] = f"median {np.median(iterations):g}, most {max(iterations)}"
         if done:
             times = [o.time for o in self.outcomes]
@@ -260,7 +264,12 @@ class Multistart:
         )
         if count == 1:
             text = f"1 of {done} starts reached the best optimum: there may well be a better one. Take more starts."
+        if done == 1:
+            text = "One start says nothing of other optima."
         said = [text]
+        first = next(o for o in self.outcomes if o.index == self.optima[0].indices[0])
+        if not first.converged:
+            said.append(f"Optimum 1: {first.message}.")
         if len(best) > 1:
             said.append(
                 f"It is {len(best)} optima with the same log-likelihood: the data do not distinguish their parameters."

@@ -97,6 +97,10 @@ impl<'a> Flow<'a> {
         let n_y = self.model.outputs.len();
         let mut outputs = vec![vec![f64::NAN; n]; n_y];
         let (mut now, mut before) = (vec![0.0; n_y], vec![0.0; n_y]);
+        // Where others are measured and this one is not, its value says nothing: the logarithm of a concentration before
+        // the first dose.
+        let measured = |c: usize| self.run.outputs.get(c).is_some_and(|z| z.iter().any(|v| !v.is_nan()));
+        let some: Vec<bool> = (0..n_y).map(measured).collect();
         for k in 0..n {
             self.field.outputs(t[k], &states[samples[k]], &mut now);
             for c in 0..n_y {
@@ -109,7 +113,9 @@ impl<'a> Flow<'a> {
                 } else {
                     continue;
                 }
-                if !outputs[c][k].is_finite() {
+                // With slopes it is the states that are asked for.
+                let asked = !with_slopes && (!some[c] || !self.run.outputs[c][k].is_nan());
+                if asked && !outputs[c][k].is_finite() {
                     return Err(Error::evaluation(format!(
                         "experiment '{}': the output '{}' of '{}' is {} at t = {} s",
                         self.run.name, self.model.outputs[c].name, self.model.name, outputs[c][k], t[k]

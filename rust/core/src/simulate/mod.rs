@@ -117,7 +117,8 @@ impl<'a> Simulation<'a> {
     ///
     /// # Errors
     /// For missing or unknown parameters and states, a wrong tolerance, inputs that cannot be used, and where the
-    /// solution ceases to exist or an output is not finite, with the time.
+    /// solution ceases to exist or an output is not finite, with the time; but for samples at which an output that the
+    /// experiment has is missing.
     pub fn run(&self) -> Result<Path, Error> {
         let (model, run) = (self.model, self.experiment);
         model.check()?;

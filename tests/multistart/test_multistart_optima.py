@@ -81,7 +81,22 @@ def test_summary_tells_the_optima_and_the_failures(rugged: Multistart) -> None:
 
 
 def test_a_single_start_at_the_best_is_no_evidence() -> None:
-    assert "there may well be a better one" in run(1).summary()
+    assert "One start says nothing of other optima." in run(1).summary()
+
+
+def test_ends_where_parameters_cannot_be_determined_are_told_as_optima() -> None:
+    m = ph.Model("product")
+    (x,) = m.states(x="")
+    a, b = m.parameters(a=1.0, b=1.0)
+    m.dynamics(x=-x)
+    m.outputs(y=a * b * x)
+    m.initial(x=1.0)
+    y = 2.0 * np.exp(-T) + 0.01 * np.random.default_rng(1).standard_normal(T.size)
+    result = ph.multistart(m, ph.Experiment(T, {}, {"y": y}), 3, ranges={"a": (0.5, 2.0), "b": (0.5, 2.0)}, seed=1)
+    assert result.counts == {"unidentifiable": 3}
+    summary = result.summary()
+    assert "converged      0 (0 %)" in summary and "at an optimum  3 (100 %)" in summary
+    assert "Optimum 1: the data do not determine all parameters" in summary
 
 
 def test_best_is_the_fit_of_the_best_outcome(rugged: Multistart) -> None:

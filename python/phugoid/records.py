@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .data.experiment import Experiment
-from .data.interpolation import Interpolations, kinds_for
+from .data.filtering import Interpolations, kinds_for
 from .errors import ByName, DataError, joined
 from .modelling.model import Model
 from .notebook import channels_table, notebook_page

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from ..data.experiment import Experiment
-from ..data.interpolation import kinds_for
+from ..data.filtering import kinds_for
 from ..errors import EvaluationError
 from ..fit_result import FitResult, Refinement, Smoothing, SmoothingStep, Step
 from ..goodness_of_fit import no_match, r_squared

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..data.interpolation import kind_of
+from ..data.filtering import kind_of
 from ..errors import DataError, UnknownName, did_you_mean
 from ..fit_result import FitResult
 from ..goodness_of_fit import Tolerance, match, tolerances_by_output

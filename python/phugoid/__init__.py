@@ -91,7 +91,7 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES; a name imported `as
     from .regression.least_squares import FourierSmoothing as FourierSmoothing
     from .regression.least_squares import SavitzkyGolay as SavitzkyGolay
     from .regression.least_squares import SmoothingSpline as SmoothingSpline
-    from .regression.selected_terms import TermSelection as TermSelection
+    from .regression.term_selection import TermSelection as TermSelection
     from .regression.term_selection import monomials as monomials
     from .result import Fit as Fit
     from .simulation import simulate as simulate
@@ -129,8 +129,7 @@ _PLACES = {
     "reconstruction": "reconstruct",
     "regression.equation_error": "equation_error",
     "regression.least_squares": "FourierSmoothing SavitzkyGolay SmoothingSpline",
-    "regression.selected_terms": "TermSelection",
-    "regression.term_selection": "monomials",
+    "regression.term_selection": "TermSelection monomials",
     "result": "Fit",
     "simulation": "simulate",
     "solvers.ipopt": "Ipopt",

@@ -35,10 +35,6 @@ _GROUPS = {
 }
 
 
-def _no_times() -> _Array:
-    return np.empty(0)
-
-
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Record:
     """Fitted or simulated time histories of one experiment; N samples, M mesh points.
@@ -75,7 +71,7 @@ class Record:
     states: Mapping[str, _Array]
     measured: Mapping[str, _Array] = field(default_factory=dict)
     residuals: Mapping[str, _Array] = field(default_factory=dict)
-    mesh_t: _Array = field(default_factory=_no_times)
+    mesh_t: _Array = field(default_factory=lambda: np.empty(0))
     mesh_states: Mapping[str, _Array] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     interpolation: Interpolations = "linear"

@@ -212,16 +212,13 @@ def plot_validation(
 
 
 def plot_record(
-    record: Record,
-    channels: Sequence[str] | None = None,
-    axes: Mapping[str, Axes] | None = None,
-    title: str | None = None,
+    record: Record, channels: Sequence[str] | None = None, title: str | None = None
 ) -> tuple[Figure, dict[str, Axes]]:
     """Plot the time histories of one record, such as a simulation, with the measured points where there are any.
 
     Parameters, return value and errors as for `plot_fit`.
     """
-    return _draw(record, channels, axes, {}, record.name if title is None else title)
+    return _draw(record, channels, None, {}, record.name if title is None else title)
 
 
 def sigmas_of(fit: FitResult, record: Record) -> dict[str, float]:

@@ -157,9 +157,9 @@ def test_incomplete_model() -> None:
 @pytest.mark.parametrize(
     ("start", "error", "words"),
     [
-        ({"Tau": 1.0}, ModelError, r"'Tau' is no parameter, sigma or state\. Did you mean 'tau'\?"),
-        ({"sigma_X": 1.0}, ModelError, r"'sigma_X' is no .* Did you mean 'sigma_x'\?"),
-        ({"u": 1.0}, ModelError, "'u' is no parameter, sigma or state"),
+        ({"Tau": 1.0}, ModelError, r"'Tau' is not a parameter, sigma or state\. Did you mean 'tau'\?"),
+        ({"sigma_X": 1.0}, ModelError, r"'sigma_X' is not a .* Did you mean 'sigma_x'\?"),
+        ({"u": 1.0}, ModelError, "'u' is not a parameter, sigma or state"),
         ({"tau": 1000.0}, ModelError, r"'tau' = 1000\.0 lies outside its bounds \(0\.01, 100\.0\)"),
         ({"tau": NAN}, ModelError, "'tau' is nan, not a finite number"),
         ({"tau": "slow"}, ModelError, "'tau' is 'slow', not a finite number"),

@@ -82,7 +82,7 @@ def test_changed_model_is_independent() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda m: m.with_parameters(kk=1.0), "with_parameters: 'kk' is no parameter. Did you mean 'k'?"),
+        (lambda m: m.with_parameters(kk=1.0), "with_parameters: 'kk' is not a parameter. Did you mean 'k'?"),
         (lambda m: m.with_parameters(k=1.0), "with_parameters: 'k': a parameter's start 1 lies outside its bounds"),
         (lambda m: m.with_parameters(k="one"), "with_parameters: 'k'"),
         (lambda m: m.with_terms({"q": 1.0}), "with_terms: 'q' is no equation. Did you mean"),

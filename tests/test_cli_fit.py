@@ -122,7 +122,7 @@ def test_report_is_one_page_with_everything(here: Path) -> None:
         (["model.py", "run1.csv", "--start", "aa=1"], "'aa'"),
         (["model.py", "run1.csv", "--start", "a=x"], "--start a=x: 'x' is not a finite number"),
         (["model.py", "run1.csv", "--start", "a"], "--start: 'a' is not of the form A=B"),
-        (["model.py", "run1.csv", "--fix", "d"], "--fix: 'd' is no parameter"),
+        (["model.py", "run1.csv", "--fix", "d"], "--fix: 'd' is not a parameter"),
         (["model.py", "run1.csv", "--solver", "newtn"], "Did you mean 'newton'?"),
         (["model.py", "run1.csv", "--plot", "f.xyz"], "f.xyz: a figure's file ends in one of"),
         (["model.py", "run1.csv", "--report", "no/f.html"], "there is no folder"),

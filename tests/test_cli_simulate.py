@@ -42,8 +42,8 @@ def test_a_fit_brings_its_initial_states(here: Path) -> None:
     ("args", "words"),
     [
         (VALUES[:2], "no value was given for c: give --parameters fit.json, or --parameters c=..."),
-        ([*VALUES, "--parameters", "cc=1"], "--parameters: 'cc' is no parameter. Did you mean 'c'?"),
-        ([*VALUES, "--initial", "y=1"], "--initial: 'y' is no state"),
+        ([*VALUES, "--parameters", "cc=1"], "--parameters: 'cc' is not a parameter. Did you mean 'c'?"),
+        ([*VALUES, "--initial", "y=1"], "--initial: 'y' is not a state"),
         (["--parameters", "fit"], "'fit' is neither a saved fit (.json, .h5) nor of the form NAME=VALUE"),
         (["--parameters", "no.json"], "no.json: there is no such file"),
         (["--parameters", "a=-9e3,b=1,c=0"], "grows without limit"),

@@ -209,7 +209,7 @@ def test_wrong_conditions_are_refused() -> None:
     m = oscillator()
     with pytest.raises(ph.ModelError, match=r"'w' is not a state. Did you mean 'v'\?|'w' is not a state"):
         m.initial(w=1.0)
-    with pytest.raises(ph.ModelError, match="'x' has such a condition already"):
+    with pytest.raises(ph.ModelError, match="'x' already has such a condition"):
         m.initial(x=1.0)
     m.final(v=_core.Expr.symbol("gg"))
     with pytest.raises(ph.ModelError, match="condition of v.*'gg' is not declared.*Did you mean 'g'"):
@@ -220,7 +220,7 @@ def test_wrong_conditions_are_refused() -> None:
         m.check()
     m = oscillator()
     m.final(x=0.0)
-    with pytest.raises(ph.ModelError, match="nothing is left to choose"):
+    with pytest.raises(ph.ModelError, match="would leave nothing to estimate"):
         m.final(v=0.0)
 
 

@@ -227,7 +227,7 @@ def test_a_delay_still_on_its_way_is_neither_at_a_bound_nor_converged() -> None:
     assert 0.0 < fit.parameters["tau"].value < 2.9
     assert fit.parameters["tau"].bounds_active is None
     assert not fit.converged
-    assert fit.message.endswith("(tau is still on the way)")
+    assert fit.message.endswith("(tau has not converged)")
     near = ph.estimate(m, run, start={"tau": 1.95})
     assert near.converged
     assert near.parameters["tau"].value == pytest.approx(2.0, abs=0.01)

@@ -62,7 +62,7 @@ def test_biases_that_cannot_be() -> None:
     third = record(*RECORDS[2])
     with pytest.raises(ph.OptionError, match="biases are estimated again in validation records: give validation"):
         ph.diagnose(fit(1), biases=["trim"])
-    with pytest.raises(ph.ModelError, match="biases: 'trimm' is no parameter of the model. Did you mean 'trim'"):
+    with pytest.raises(ph.ModelError, match="biases: 'trimm' is not a parameter of the model. Did you mean 'trim'"):
         ph.diagnose(fit(1), validation=third, biases=["trimm"])
     with pytest.raises(ph.ModelError, match="Say 'trim', for all experiments"):
         ph.diagnose(fit(2), validation=third, biases=["trim[first]"])

@@ -262,9 +262,9 @@ def test_page_without_candidates_or_held_out_data(diagnosis: Any, extension: Ext
         ([UNEXPLAINED], "unexplained", "The misfit is significant, but its cause is not established."),
         ([FINDING], "named", "The model misses one of {q':q|q|, q':q^2}."),
         ([SURROGATE], "unexplained", "de:scale is a surrogate, which fits but may represent another cause"),
-        ([MINOR], "unexplained", "Minor: q:bias, which explains very little."),
+        ([MINOR], "unexplained", "Minor: q:bias, significant, but less than 5 % of the misfit."),
         ([UNCERTAIN], "unexplained", "q:bias is significant, but what it explains of data held out may be chance."),
-        ([FINDING, MINOR], "named", "The model misses one of {q':q|q|, q':q^2}. Minor: q:bias, which explains very"),
+        ([FINDING, MINOR], "named", "The model misses one of {q':q|q|, q':q^2}. Minor: q:bias, significant, but"),
         ([FINDING, UNEXPLAINED], "named", "A part of the misfit has no established cause."),
     ],
 )

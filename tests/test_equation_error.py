@@ -308,7 +308,7 @@ def test_an_equation_that_is_not_finite_is_named() -> None:
     [
         ({"differentiation": "spline"}, "SmoothingSpline"),
         ({"start": 3}, "values by name"),
-        ({"start": {"Mx": 1.0}}, "Did you mean 'Mw'|Did you mean 'Mq'|'Mx' is no parameter"),
+        ({"start": {"Mx": 1.0}}, "Did you mean 'Mw'|Did you mean 'Mq'|'Mx' is not a parameter"),
     ],
 )
 def test_wrong_options_are_refused(options: dict[str, Any], message: str) -> None:

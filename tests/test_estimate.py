@@ -355,7 +355,7 @@ def test_parameters_that_cannot_be_told_apart_are_named() -> None:
     fit = ph.estimate(m, line_record())
     # Rounding decides on which side of singular the information matrix ends.
     (warning,) = fit.warnings
-    assert warning.startswith("a, b cannot be told apart") or "no standard error for a, b" in warning
+    assert warning.startswith("a, b cannot be distinguished") or "no standard error for a, b" in warning
     assert not fit.parameters["a"].std_error < 1e3
 
 

@@ -597,7 +597,7 @@ def test_what_cannot_be_is_refused() -> None:
     e = turbulent(0, (1.0, 0.05))
     with pytest.raises(OptionError, match="a solver of its own"):
         ph.estimate(short_period(), e, transcription=BOTH, solver=ph.Newton())
-    with pytest.raises(ModelError, match="'q_v' is no parameter"):
+    with pytest.raises(ModelError, match="'q_v' is not a parameter"):
         ph.estimate(short_period(), e, transcription=BOTH, start={"q_v": 1.0})
     with pytest.raises(ModelError, match="start of q_w is a positive number"):
         ph.estimate(short_period(), e, transcription=BOTH, start={"q_w": -0.0})
@@ -622,7 +622,7 @@ def test_what_cannot_be_is_refused() -> None:
     (k,) = m.parameters("k")
     m.dynamics(x=k * x, y=x)
     m.outputs(x=x)
-    with pytest.raises(EvaluationError, match="do not determine the first value of state 'y': give initial="):
+    with pytest.raises(EvaluationError, match="do not determine the initial value of state 'y': give initial="):
         ph.estimate(m, hidden, transcription=FilterError("x"))
     known = FilterError("x", initial={"y": (0.0, 1.0)})
     assert ph.estimate(m, hidden, transcription=known).converged

@@ -84,7 +84,7 @@ def test_names_that_are_no_text(file: Path) -> None:
     (a,) = m.parameters("a")
     m.dynamics(x=a)
     m.outputs(x=x)
-    refuses(ph.ModelError, "start: '1' is no parameter", lambda: ph.estimate(m, ph.read(file), start={1: 2}))  # type: ignore[dict-item]
+    refuses(ph.ModelError, "start: '1' is not a parameter", lambda: ph.estimate(m, ph.read(file), start={1: 2}))  # type: ignore[dict-item]
     refuses(ph.ModelError, "at: give states and inputs by name", lambda: ph.linear.linearise(m, {"a": 1}, at=3))  # type: ignore[arg-type]
 
 

@@ -47,7 +47,7 @@ def tanks(seed: int, fixed: str | None = None, **upper: ph.State) -> ph.Model:
 def test_a_free_scale_is_named_with_what_to_fix(transcription: ph.Collocation, seed: int) -> None:
     fit = ph.estimate(tanks(seed), record(seed), transcription=transcription)
     assert fit.status == "unidentifiable" and "x1, k1, k2, k4: one scale is free" in fit.message
-    (warning,) = (w for w in fit.warnings if "cannot be told apart" in w)
+    (warning,) = (w for w in fit.warnings if "cannot be distinguished" in w)
     assert "x1*s, k1*s**0.5, k2*s**(-0.5), k4*s" in warning and "fix one of k1, k2, k4, or give x1" in warning
     scaled = [fit.parameters[n] for n in ("k1", "k2", "k4")] + [fit.initial_states["experiment"]["x1"]]
     assert all(np.isnan(e.std_error) and np.isfinite(e.value) for e in scaled)

@@ -171,5 +171,5 @@ def test_a_tie_is_a_quantity_and_a_derived_estimate_has_its_error() -> None:
     variance = slope @ plain.covariance[np.ix_([i, j], [i, j])] @ slope
     assert derived["ratio"].value == pytest.approx(gain / t, rel=1e-9)
     assert derived["ratio"].std_error == pytest.approx(np.sqrt(variance), rel=1e-6)
-    with pytest.raises(ph.ModelError, match="derived 'z': 'x' is no parameter"):
+    with pytest.raises(ph.ModelError, match="derived 'z': 'x' is not a parameter"):
         tied.derived(z=2.0 * x)

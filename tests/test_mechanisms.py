@@ -259,3 +259,60 @@ def test_the_trim_of_a_function_is_estimated() -> None:
     assert found.coefficient == pytest.approx(0.6, abs=4.0 * found.std_error)
     trim = float(found.explanation.partition("(d - ")[2].partition(")")[0])
     assert trim == pytest.approx(0.1, abs=0.0005)
+
+
+def _reaction(seed: int, name: str) -> ph.Experiment:
+    """A stirred tank with a reaction of second order."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 80.0, 0.2)
+    feed = 1.8 + _smooth(rng, t, 0.5, (0.011, 0.027, 0.06))
+    x = integrated(lambda x, u: np.array([0.5 * (u - x[0]) - 0.7 * x[0] ** 2]), np.array([0.8]), t, feed)
+    return ph.Experiment(
+        t, {"feed": feed}, {"c": x[:, 0] + 0.002 * rng.standard_normal(t.size)}, name=name, interpolation="hold"
+    )
+
+
+def test_a_square_is_about_zero_where_a_constant_is_needed_beside_it_otherwise() -> None:
+    m = ph.Model("tank")
+    (c,) = m.states(c=ph.State("mol/L", start=1.0))
+    (feed,) = m.inputs(feed="mol/L")
+    q, k = m.parameters(q=0.3, k=0.3)
+    m.dynamics(c=q * (feed - c) - k * c)
+    m.outputs(c=c)
+    d = ph.diagnose(ph.estimate(m, _reaction(1, "a")), validation=_reaction(2, "b"))
+    (found,) = named(d)
+    assert found.cause == "c':c^2"
+    assert found.coefficient == pytest.approx(-0.7, abs=4.0 * found.std_error)
+    assert "square of c" in found.explanation
+
+
+def _arm(seed: int, name: str) -> ph.Experiment:
+    """An arm on a spring whose inertia is least where it is bent."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 20.0, 0.02)
+    torque = _smooth(rng, t, 2.0, (0.15, 0.37, 0.61))
+
+    def f(x: _Array, u: float) -> _Array:
+        th, w = x
+        return np.array([w, (u - 0.8 * w - 3.0 * th) * (1.0 + 0.5 * th**2)])
+
+    x = integrated(f, np.zeros(2), t, torque)
+    outputs = {
+        "th": x[:, 0] + 0.003 * rng.standard_normal(t.size),
+        "w": x[:, 1] + 0.01 * rng.standard_normal(t.size),
+    }
+    return ph.Experiment(t, {"M": torque}, outputs, name=name, interpolation="hold")
+
+
+def test_an_inertia_that_depends_on_the_position_is_named() -> None:
+    m = ph.Model("arm")
+    th, w = m.states(th="rad", w="rad/s")
+    (torque,) = m.inputs(M="N*m")
+    b, d, k = m.parameters(b=0.5, d=1.0, k=2.0)
+    m.dynamics(th=w, w=b * torque - d * w - k * th)
+    m.outputs(th=th, w=w)
+    d = ph.diagnose(ph.estimate(m, _arm(1, "a")), validation=_arm(2, "b"))
+    (found,) = named(d)
+    assert found.cause == "w':scale*th^2"
+    assert found.coefficient == pytest.approx(0.5, abs=4.0 * found.std_error)
+    assert found.explained > 0.95

@@ -354,7 +354,7 @@ def test_output_given_twice() -> None:
 def test_second_equation_of_a_state() -> None:
     m, x, u, T = lag()
     m.dynamics(x=x)
-    with pytest.raises(ModelError, match=rf"state equation \({HERE}:\d+\): 'x' has an equation already"):
+    with pytest.raises(ModelError, match=rf"state equation \({HERE}:\d+\): 'x' already has an equation"):
         m.dynamics(x=x)
 
 
@@ -372,7 +372,9 @@ def test_time_is_reserved(declare: Callable[[Model, str], Any]) -> None:
 
 @pytest.mark.parametrize("name", ["2a", "a-b", "a.b", "q'"])
 def test_name_of_other_characters(name: str) -> None:
-    with pytest.raises(ModelError, match="a name starts with a letter and holds letters, digits and underscores"):
+    with pytest.raises(
+        ModelError, match="a name starts with a letter and contains only letters, digits and underscores"
+    ):
         Model().states(name)
 
 
@@ -396,13 +398,15 @@ def test_unit_that_is_no_text(unit: Any) -> None:
 @pytest.mark.parametrize("bad", ["u - x", None, np.array([1.0, 2.0]), 1j])
 def test_equation_that_is_no_expression(bad: Any) -> None:
     m, *_ = lag()
-    with pytest.raises(ModelError, match=rf"dynamics of 'x' \({HERE}:\d+\): a \w+ is no expression and no number"):
+    with pytest.raises(
+        ModelError, match=rf"dynamics of 'x' \({HERE}:\d+\): a \w+ is neither an expression nor a number"
+    ):
         m.dynamics(x=bad)
 
 
 def test_output_with_more_than_a_unit() -> None:
     m, x, *_ = lag()
-    with pytest.raises(ModelError, match="outputs of 'x' .* a tuple is no expression"):
+    with pytest.raises(ModelError, match="outputs of 'x' .* a tuple is neither an expression"):
         m.outputs(x=(x, "m", "extra"))
 
 
@@ -410,7 +414,7 @@ def test_equation_that_is_not_finite() -> None:
     m, x, u, T = lag()
     m.dynamics(x=(u - x) / T)
     m.outputs(y=float("nan"))
-    with pytest.raises(ModelError, match=rf"output y \({HERE}:\d+\): it holds the constant NaN"):
+    with pytest.raises(ModelError, match=rf"output y \({HERE}:\d+\): it contains the constant NaN"):
         m.check()
 
 

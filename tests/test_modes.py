@@ -166,9 +166,9 @@ def test_what_cannot_be_right_is_refused() -> None:
     m = pendulum()
     cases: list[tuple[type[Exception], str, Any]] = [
         (ph.ModelError, "its derivatives depend on th; say where", lambda: ph.linear.modes(m, VALUES)),
-        (ph.ModelError, "at: 'theta' is no state or input", lambda: ph.linear.modes(m, VALUES, at={"theta": 0.0})),
+        (ph.ModelError, "at: 'theta' is not a state or input", lambda: ph.linear.modes(m, VALUES, at={"theta": 0.0})),
         (ph.ModelError, "no value was given for d, T", lambda: ph.linear.modes(m, {"w2": 1.0}, at={"th": 0.0})),
-        (ph.ModelError, "'w3' is no parameter. There are: w2, d, T.", lambda: ph.linear.modes(m, {"w3": 1.0})),
+        (ph.ModelError, "'w3' is not a parameter. There are: w2, d, T.", lambda: ph.linear.modes(m, {"w3": 1.0})),
         (
             ph.ModelError,
             "parameter 'd' is 'much', not a finite number",

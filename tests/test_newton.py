@@ -151,7 +151,7 @@ def test_parameters_that_trade_off_are_named(rate: Callable[..., Any], solver: N
     # That the scale of a product is free shows in the equations alone, before the fit.
     product = rate(2.0, 3.0) == 6.0
     assert fit.message.endswith("(a, b: one scale is free)" if product else "(a, b)")
-    assert product or any("a, b cannot be told apart" in w for w in fit.warnings)
+    assert product or any("a, b cannot be distinguished" in w for w in fit.warnings)
     assert np.isnan(fit.parameters["a"].std_error)
     # What they are together is known well, and so is the noise.
     together = rate(fit.parameters["a"].value, fit.parameters["b"].value)
@@ -216,4 +216,4 @@ def test_a_hopeless_model_ends_with_a_status_in_no_time() -> None:
     fit = estimate(m)
     assert fit.time < 20
     assert np.isfinite([e.value for e in fit.parameters.values()]).all()
-    assert not any("cannot be told apart" in w for w in fit.warnings)  # it is not the data's fault
+    assert not any("cannot be distinguished" in w for w in fit.warnings)  # it is not the data's fault

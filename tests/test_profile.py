@@ -174,7 +174,7 @@ def test_bad_input() -> None:
     fit = ph.estimate(model(), measured(150, (0.5, 0.5), 0))
     with pytest.raises(ph.errors.OptionError, match="belongs to the noise"):
         fit.profile("sigma_x")
-    with pytest.raises(ph.errors.OptionError, match="'kk' is no parameter"):
+    with pytest.raises(ph.errors.OptionError, match="'kk' is not a parameter"):
         fit.profile(["kk"])
     with pytest.raises(ph.errors.OptionError, match="level"):
         fit.profile(level=95)

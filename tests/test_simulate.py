@@ -209,7 +209,7 @@ def test_output_that_is_not_finite_is_named() -> None:
     [
         ({"tau": 1.0}, "no value was given for gain"),
         ({}, "no value was given for tau, gain"),
-        ({"tau": 1.0, "gain": 1.0, "Tau": 1.0}, "'Tau' is no parameter. Did you mean 'tau'?"),
+        ({"tau": 1.0, "gain": 1.0, "Tau": 1.0}, "'Tau' is not a parameter. Did you mean 'tau'?"),
         ({"tau": "slow", "gain": 1.0}, "parameter 'tau' is 'slow', not a finite number"),
         ({"tau": float("nan"), "gain": 1.0}, "parameter 'tau' is nan"),
         (1.0, "parameters are values by name, or a fit, not 1.0"),
@@ -223,7 +223,7 @@ def test_parameters(parameters: Any, words: str) -> None:
 @pytest.mark.parametrize(
     ("initial", "words"),
     [
-        ({"X": 1.0}, "initial 'X' is no state. Did you mean 'x'?"),
+        ({"X": 1.0}, "initial 'X' is not a state. Did you mean 'x'?"),
         ({"x": math.inf}, "initial 'x' is inf, not a finite number"),
         ({"x": [1.0, 2.0]}, "initial 'x' is"),
     ],

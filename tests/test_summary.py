@@ -240,3 +240,7 @@ def test_summary_of_a_constant_output_has_no_r2() -> None:
         residuals={"q": -r.t},
     )
     assert "R²" not in fit_summary(fit([flat]))
+
+
+def test_an_estimate_that_rounds_to_zero_has_no_sign() -> None:
+    assert repr(Estimate("b", -0.00001, 0.0003)) == "b = 0.0000 ± 0.0003"

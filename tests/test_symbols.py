@@ -80,7 +80,7 @@ def test_functions_take_lists_beside_expressions() -> None:
 
 @pytest.mark.parametrize("bad", ["x", None, 1j, object()])
 def test_function_refuses_what_is_no_number(bad: Any) -> None:
-    with pytest.raises(TypeError, match="no expression and no number"):
+    with pytest.raises(TypeError, match="neither an expression nor a number"):
         ph.sin(bad)
 
 

@@ -198,7 +198,7 @@ def test_what_is_shown() -> None:
         ({"select": "stepwize"}, "Did you mean 'stepwise'"),
         ({"select": 3}, "select is one of"),
         ({"held_out": "run"}, "held_out: data is an Experiment"),
-        ({"select": ph.TermSelection(keep=("Cm1",))}, "'Cm1' is no parameter. Did you mean 'Cm0'"),
+        ({"select": ph.TermSelection(keep=("Cm1",))}, "'Cm1' is not a parameter. Did you mean 'Cm0'"),
         ({"select": ph.TermSelection("all", most=3)}, "19 candidates have 524,288 subsets"),
         ({"select": ph.TermSelection("all", most=20, criterion="held_out")}, "give held_out="),
         ({"select": "stepwise", "terms": {"CM": [1]}}, "'CM' is no equation. Did you mean"),

@@ -390,7 +390,7 @@ def test_states_that_no_output_measures_are_found() -> None:
         random = np.random.default_rng(seed)
         return e.with_outputs({n: y + 0.1 * random.standard_normal(t.size) for n, y in path.outputs.items()})
 
-    # Height and its bias cannot be told apart, so that bias is held.
+    # Height and its bias cannot be distinguished, so that bias is held.
     fit = ph.estimate(m, run("first", 0.3, 0), start={"V": 45.0, "cd": 0.03, "cl": 0.004, "b": 0.0, "gamma": 0.0})
     v = fit.validate(run("second", -0.4, 1), biases=())
     assert v.converged

@@ -32,7 +32,7 @@ _Array = NDArray[np.float64]
 def check_names(
     model: Model, start: Mapping[str, Any], experiments: Sequence[Experiment] = (), noise: Sequence[str] = ()
 ) -> None:
-    """Raise ModelError for a start with a name that is no parameter, sigma or state, and none of ``noise``."""
+    """Raise ModelError for a start with a name that is not a parameter, sigma or state, and none of ``noise``."""
     _core.check_start(model._core, [str(name) for name in start], [e.name for e in experiments], list(noise))
 
 

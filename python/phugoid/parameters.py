@@ -260,7 +260,7 @@ def derived(estimates: Estimates, covariance: NDArray[np.float64], expressions: 
                         f"derived '{name}': '{symbol}' has a value for each experiment ({', '.join(own)}): "
                         "ask for one of them, or of fits to single experiments"
                     )
-                raise ModelError(f"derived '{name}': '{symbol}' is no parameter.{did_you_mean(symbol, names)}")
+                raise ModelError(f"derived '{name}': '{symbol}' is not a parameter.{did_you_mean(symbol, names)}")
         slope = np.zeros(len(names))
         for symbol in e.symbols:
             d = e.diff(symbol)
@@ -339,7 +339,7 @@ def _rounded(value: float, std_error: float) -> tuple[str, str]:
     largest = max(abs(value), std_error)
     if -2 <= decimals <= 8 and largest < 1e7:
         places = max(decimals, 0)
-        return f"{round(value, decimals):.{places}f}", f"{round(std_error, decimals):.{places}f}"
+        return f"{round(value, decimals) + 0.0:.{places}f}", f"{round(std_error, decimals):.{places}f}"
     places = min(max(decimals + math.floor(math.log10(largest)), 0), 15)
     return f"{value:.{places}e}", f"{std_error:.1e}"
 

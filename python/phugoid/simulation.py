@@ -123,7 +123,7 @@ def _values(model: Model, parameters: Mapping[str, Any] | FitResult, experiment:
         of_one = str(name).endswith("]") and str(name).partition("[")[0] in {*local, *noise}
         known = name in model.parameter_names or of_one or name in noise
         if not known and not str(name).startswith(_NOISE):
-            raise ModelError(f"simulate: '{name}' is no parameter.{did_you_mean(name, model.parameter_names)}")
+            raise ModelError(f"simulate: '{name}' is not a parameter.{did_you_mean(name, model.parameter_names)}")
     # For a parameter of single experiments, the value of this one precedes one for all.
     found = {name: f"{name}[{experiment}]" for name in local if f"{name}[{experiment}]" in given}
     missing = [name for name in model.parameter_names if name not in given and name not in found]
@@ -143,7 +143,7 @@ def first_values(
     """Return the states at the first sample (n_x,), as `simulate` takes them."""
     for name in initial:
         if name not in model.state_names:
-            raise ModelError(f"simulate: initial '{name}' is no state.{did_you_mean(name, model.state_names)}")
+            raise ModelError(f"simulate: initial '{name}' is not a state.{did_you_mean(name, model.state_names)}")
     of_fit: Mapping[str, Any] = source.initial_states.get(data.name, {}) if isinstance(source, FitResult) else {}
     measured = measured_states(model, values)
     there = {*data.outputs, *data.channels}

@@ -365,7 +365,7 @@ def _known_parameter(fit: FitResult, name: str, where: str) -> None:
     if name not in names:
         base = name.partition("[")[0]
         hint = f" Say '{base}', for all experiments." if base in names else did_you_mean(name, names)
-        raise ModelError(f"validate: {where}: '{name}' is no parameter of the model.{hint}")
+        raise ModelError(f"validate: {where}: '{name}' is not a parameter of the model.{hint}")
 
 
 def _held(fit: FitResult, free: Sequence[str], values: Mapping[str, Any]) -> dict[str, float]:

@@ -16,8 +16,8 @@ from phugoid import DataError, Experiment, Model, ModelError, OptionError
 @pytest.mark.parametrize(
     ("ranges", "error", "message"),
     [
-        ({"Tau": (0, 1)}, ModelError, "'Tau' is no parameter, sigma or state. Did you mean 'tau'?"),
-        ({"sigma_x": (0, 1)}, ModelError, "'sigma_x' is no parameter, sigma or state"),
+        ({"Tau": (0, 1)}, ModelError, "'Tau' is not a parameter, sigma or state. Did you mean 'tau'?"),
+        ({"sigma_x": (0, 1)}, ModelError, "'sigma_x' is not a parameter, sigma or state"),
         ({"tau": (2.0, 1.0)}, OptionError, "'tau' from 2 to 1 is reversed"),
         ({"tau": (0.5, np.inf)}, OptionError, "'tau' from 0.5 to inf is not finite"),
         ({"tau": (np.nan, 1.0)}, OptionError, "'tau' from nan to 1 is not finite"),
@@ -82,7 +82,7 @@ def test_fixed_and_known_are_not_drawn() -> None:
         ({"transcription": 2}, OptionError, "SingleShooting, not 2"),
         ({"noise": 2}, OptionError, "noise is a Gaussian, StudentT, .* not 2"),
         ({"start": 2}, OptionError, "start holds values by name, or is a fit"),
-        ({"start": {"b": 2}}, ModelError, "start: 'b' is no parameter, sigma or state"),
+        ({"start": {"b": 2}}, ModelError, "start: 'b' is not a parameter, sigma or state"),
         ({"solver": "newton"}, OptionError, "solver is Newton"),
         ({"solver": ph.Ipopt(options={"nonsense": 1})}, OptionError, "Ipopt has no option 'nonsense'"),
         ({"model": "lag"}, ModelError, "the first argument is a Model, not a str"),

@@ -332,7 +332,7 @@ def _parameters(
     for name in values:
         known = [*dict.fromkeys([*model.parameter_names, *(fit.parameters if fit is not None else ())])]
         if name not in known:
-            raise ModelError(f"--parameters: '{name}' is no parameter.{listing(name, known)}")
+            raise ModelError(f"--parameters: '{name}' is not a parameter.{listing(name, known)}")
     if fit is not None:
         return (fit, fit) if not values else (fit, {**fit.as_start(), **values})
     # Only fixed parameters have a declared value; the start of an estimation is not one.
@@ -349,7 +349,7 @@ def _parameters(
 def _first(model: Model, fit: Fit | None, experiment: str, given: Mapping[str, float]) -> dict[str, float]:
     for name in given:
         if name not in model.state_names:
-            raise ModelError(f"--initial: '{name}' is no state.{listing(name, model.state_names)}")
+            raise ModelError(f"--initial: '{name}' is not a state.{listing(name, model.state_names)}")
     of_fit = fit.initial_states.get(experiment) if fit is not None else None
     return {**({name: e.value for name, e in of_fit.items()} if of_fit is not None else {}), **given}
 

@@ -291,7 +291,7 @@ def _with_fixed(model: Model, fixed: Mapping[str, float | None]) -> Model:
     declared, changes = model.declared_parameters, {}
     for name, value in fixed.items():
         if name not in declared:
-            raise ModelError(f"--fix: '{name}' is no parameter.{listing(name, model.parameter_names)}")
+            raise ModelError(f"--fix: '{name}' is not a parameter.{listing(name, model.parameter_names)}")
         low, high = declared[name].bounds
         if value is not None and not low <= value <= high:
             raise ModelError(f"--fix: {name} = {value:g} lies outside its bounds ({low:g}, {high:g})")

@@ -318,7 +318,7 @@ def _estimate(model: Model, name: str, value: float, error: float) -> Estimate:
 def _sizes(estimates: Estimates, names: Sequence[str], sizes: Mapping[str, float] | None) -> _Array:
     for n, s in (sizes or {}).items():
         if n not in estimates:
-            raise ModelError(f"plan: sizes: '{n}' is no parameter.{listing(str(n), list(estimates))}")
+            raise ModelError(f"plan: sizes: '{n}' is not a parameter.{listing(str(n), list(estimates))}")
         positive(f"plan: the size of '{n}'", s)
     found = np.array([(sizes or {}).get(n, abs(estimates[n].value)) for n in names])
     return np.where(found > 0.0, found, np.nan)
@@ -346,7 +346,7 @@ def values_of(
     for n, v in (values or {}).items():
         base = str(n).partition("[")[0]
         if n not in found and not (base in local and n in {f"{base}[{run.name}]" for run in runs}):
-            raise ModelError(f"plan: '{n}' is no parameter.{listing(str(n), list(found))}")
+            raise ModelError(f"plan: '{n}' is not a parameter.{listing(str(n), list(found))}")
         try:
             found[str(n)] = float(v)
         except (TypeError, ValueError):
@@ -395,7 +395,7 @@ def first_states(model: Model, fit: FitResult | None, initial: Mapping[str, floa
     found = {n: v for n, v in found.items() if n not in held}
     for n, v in (initial or {}).items():
         if n not in model.state_names:
-            raise ModelError(f"plan: initial '{n}' is no state.{listing(str(n), model.state_names)}")
+            raise ModelError(f"plan: initial '{n}' is not a state.{listing(str(n), model.state_names)}")
         found[n] = float(v)
     return found
 

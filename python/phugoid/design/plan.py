@@ -119,7 +119,7 @@ class Information:
         names = list(self.names)
         for n in of or ():
             if n not in names:
-                raise ModelError(f"plan: of: '{n}' is no parameter that is estimated.{listing(n, names)}")
+                raise ModelError(f"plan: of: '{n}' is not a parameter that is estimated.{listing(n, names)}")
         chosen = [i for i, n in enumerate(names) if (of is None or n in of) and np.isfinite(sizes[i])]
         if not chosen:
             raise OptionError("plan: no parameter has a size in which its error counts: give sizes={'name': ...}")

@@ -92,7 +92,7 @@ def freed(fit: FitResult, others: Sequence[Experiment], given: Any) -> tuple[str
         if name not in names:
             base = name.partition("[")[0]
             hint = f" Say '{base}', for all experiments." if base in names else did_you_mean(name, names)
-            raise ModelError(f"diagnose: biases: '{name}' is no parameter of the model.{hint}")
+            raise ModelError(f"diagnose: biases: '{name}' is not a parameter of the model.{hint}")
     return found
 
 

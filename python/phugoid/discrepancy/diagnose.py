@@ -148,7 +148,7 @@ def diagnose(
         whole = records.parts.whole.fit if records.parts is not None else records.fit
         return DiagnosisResult(
             fit=state.search.cache.base.fit if corrected else whole,
-            findings=tuple(told.findings),
+            findings=tuple(sorted(told.findings, key=lambda f: f.status == "minor")),
             ranking=told.ranking,
             threshold=state.search.assessment.threshold(),
             notes=notes,
@@ -189,7 +189,7 @@ class _Records:
 
     @property
     def findings(self) -> list[Finding]:
-        """What is told of these."""
+        """What is reported of these."""
         faults = [finding_of_sensor_fault(f) for f in self.faults]
         return faults + ([finding_of_unsigned_sensor(self.unsigned)] if self.unsigned is not None else [])
 
@@ -226,8 +226,8 @@ def _prepared(fit: FitResult, others: Sequence[Experiment], deadline: Deadline) 
 
 
 @dataclass(frozen=True, eq=False)
-class _Told:
-    """What is told of a state: findings, in their order, the extension by those that are kept, and that by all."""
+class _Reported:
+    """What is reported of a state: findings, in their order, the extension by those that are kept, and that by all."""
 
     findings: Sequence[Finding]
     ranking: tuple[Scored, ...]
@@ -239,8 +239,8 @@ class _Told:
     ended: str
 
 
-def _told(records: _Records, state: State, deadline: Deadline) -> _Told:
-    """Return what is told of a state, with what more is to be worked out for that within the time limit."""
+def _told(records: _Records, state: State, deadline: Deadline) -> _Reported:
+    """Return what is reported of a state, with what more is to be worked out for that within the time limit."""
     search, result = state.search, state.result
     ended = deadline.ended() if state.interrupted else ""
     with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
@@ -278,7 +278,7 @@ def _told(records: _Records, state: State, deadline: Deadline) -> _Told:
     with interrupts():
         if search.cache.base is not records.base and ranking and not ended:
             ranking = tuple(ranking_of(search, search.cache.scan(search.cache.base)))
-    return _Told([*before, *terms, *rest], ranking, kept, laws, extension, full, interrupted, ended)
+    return _Reported([*before, *terms, *rest], ranking, kept, laws, extension, full, interrupted, ended)
 
 
 def _is_of_inputs(state: State) -> bool:
@@ -341,7 +341,7 @@ def _with_optimum(fit: FitResult, candidates: Any) -> list[Refit]:
 def _all_notes(
     records: _Records,
     state: State,
-    told: _Told,
+    told: _Reported,
     listed: Sequence[Candidate],
     free: Sequence[str] | None,
     unfitted: str,
@@ -390,8 +390,8 @@ def _notes(
         notes.append(f"The search ends after {most} findings: diagnose the extended fit to continue.")
     if not final.fit.model.quantity_names:
         notes.append(
-            "The model declares no quantities. Candidates for a force or a moment are tried, in all equations at once, "
-            "where it is declared by m.quantities(...)."
+            "The model declares no quantities. Of a force, a flow or a rate that several equations share, candidates "
+            "act on all of them at once where it is declared by m.quantities(...)."
         )
     if ended:
         notes.append(f"{_EARLY[ended]}: the results up to then are given.")

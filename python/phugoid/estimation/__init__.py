@@ -61,10 +61,10 @@ def estimate(
     say so.
 
     Where a run by `Collocation` with `Newton` ends without an optimum, or at one at which no output is matched well
-    (R² below 0.5), other ways from the same start are tried in turn: a regression on the states as they start, steps
-    along paths that satisfy the equations, and the exact Hessian. The message says which one led to the result. A fit
-    without ``solver`` and ``start`` is tried with the noise held at the spread of the measurements first, too; a
-    warning says where the likelihood was higher before. ``max_iterations`` below 200 leaves all this out.
+    (R² below 0.5), other ways from the same start are tried in turn: a regression on the initial paths of the states,
+    steps along paths that satisfy the equations, and the exact Hessian. The message says which one led to the result.
+    A fit without ``solver`` and ``start`` is tried with the noise held at the spread of the measurements first, too;
+    a warning says where the likelihood was higher before. ``max_iterations`` below 200 leaves all this out.
 
     Ctrl-C ends the run and returns the best point so far, with status "interrupted". Pressed once more, while its
     standard errors are computed, it leaves these out (NaN, and a warning); a third is as ever.

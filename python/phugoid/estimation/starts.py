@@ -177,7 +177,7 @@ def uniform(problem: Problem, ranges: Any, seed: int) -> Uniform:
     ]
     for name in ranges:
         if name not in known:
-            raise ModelError(f"ranges: '{name}' is no parameter, sigma or state.{did_you_mean(str(name), known)}")
+            raise ModelError(f"ranges: '{name}' is not a parameter, sigma or state.{did_you_mean(str(name), known)}")
     declared = model.declared_parameters
     checked: dict[str, Range] = {}
     for name in known:

@@ -263,7 +263,7 @@ def numbers_of(
         if label not in model.parameter_names:
             if label.startswith("sigma_"):  # of the noise, as Estimates.to_dict() has it
                 continue
-            raise ModelError(f"{caller}: '{name}' is no parameter.{listing(label, model.parameter_names)}")
+            raise ModelError(f"{caller}: '{name}' is not a parameter.{listing(label, model.parameter_names)}")
         values[label] = finite(f"{caller}: parameter '{name}'", value, ModelError)
     missing = [name for name in model.parameter_names if name not in values]
     if missing:

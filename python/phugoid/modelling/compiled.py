@@ -117,7 +117,7 @@ class Jacobians:
         there = (*self.states, *self.inputs, "time")
         for name in at:
             if name not in there:
-                raise ModelError(f"{self.caller}: at: '{name}' is no state or input.{listing(str(name), there)}")
+                raise ModelError(f"{self.caller}: at: '{name}' is not a state or input.{listing(str(name), there)}")
         missing = [name for name in self.varying if name not in at]
         if missing:
             raise ModelError(

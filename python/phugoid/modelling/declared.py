@@ -268,7 +268,7 @@ def changed_parameters(
     found = {}
     for name, value in changes.items():
         if name not in declared:
-            raise ModelError(f"with_parameters: '{name}' is no parameter.{listing(str(name), list(declared))}")
+            raise ModelError(f"with_parameters: '{name}' is not a parameter.{listing(str(name), list(declared))}")
         try:
             found[name] = value if isinstance(value, Parameter) else replace(declared[name], start=value)
         except (ModelError, TypeError) as error:

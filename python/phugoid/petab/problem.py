@@ -64,7 +64,7 @@ class PetabProblem:
             own = values.parameters if isinstance(values, FitResult) else values
             for name, value in own.items():
                 if name not in self.nominal and name not in self.unused:
-                    raise ModelError(f"log_likelihood: '{name}' is no parameter of the problem {self.name}")
+                    raise ModelError(f"log_likelihood: '{name}' is not a parameter of the problem {self.name}")
                 given[name] = float(value)
         parameters = {n: given[n] for n in self.model.parameter_names}
         total = self.constant
@@ -130,7 +130,7 @@ class PetabProblem:
     def write_parameters(self, values: Mapping[str, Any] | FitResult, path: str | os.PathLike[str]) -> None:
         """Write a parameter table of PEtab with these values, or those of a fit, in the place of the nominal ones.
 
-        Raises ModelError for a name that is no parameter of the table, DataError where the file cannot be written.
+        Raises ModelError for a name that is not a parameter of the table, DataError where the file cannot be written.
         """
         table = self._table.copy()
         own = values.parameters if isinstance(values, FitResult) else values

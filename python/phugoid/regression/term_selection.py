@@ -240,10 +240,10 @@ def _number(value: float, form: str) -> str:
 
 
 def check_keep(keep: Sequence[str], parameters: Sequence[str]) -> None:
-    """Raise OptionError for a name in ``keep`` that is no parameter."""
+    """Raise OptionError for a name in ``keep`` that is not a parameter."""
     for name in keep:
         if name not in parameters:
-            raise OptionError(f"TermSelection: keep: '{name}' is no parameter.{listing(name, parameters)}")
+            raise OptionError(f"TermSelection: keep: '{name}' is not a parameter.{listing(name, parameters)}")
 
 
 def _reason(criterion: Criterion | None, f_in: float, f_out: float, corrected: bool) -> str:

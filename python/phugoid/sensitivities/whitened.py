@@ -101,6 +101,10 @@ class Whitened:
         """Value after the step and standard error of a parameter."""
         return self.linear.value(name, self.step, self.covariance)
 
+    def direction(self, name: str) -> _Array:
+        """Return (k,) by how much a parameter changes along each vector of ``basis``."""
+        return np.asarray(self._moves[self.linear.place(name)] @ self._back)
+
     def inflation(self, name: str) -> float:
         """Return the ratio of the variance of a parameter's estimate to that by the filter, at least 1.
 
@@ -108,7 +112,7 @@ class Whitened:
         over time; the variance of that sum follows from the covariances of its terms over some lags (Newey & West
         1987), whatever it is that makes them go together.
         """
-        weights = self.basis @ (self._moves[self.linear.place(name)] @ self._back)
+        weights = self.basis @ self.direction(name)
         size = float(weights @ weights)
         total, lags = 0.0, 0
         for terms in self.linear.over_time(weights * self.errors):

@@ -41,10 +41,11 @@ HINTS = {
     "interrupted": "stopped by the user; this is the best point so far, and start=fit goes on from it",
     "iteration limit": "not converged; allow more iterations, or go on with start=fit",
     "time limit": "not converged; allow more time, or go on with start=fit",
-    "infeasible": "no state path satisfies the equations near here; look at start values, bounds and units",
-    "diverging": "the unknowns grow without limit; a parameter may be without influence: bound or fix it",
+    "infeasible": "no state path near this point satisfies the equations; check start values, bounds and units",
+    "diverging": "the unknowns grow without limit; a parameter may have no influence: bound or fix it",
     "unidentifiable": "the data do not determine all parameters: fix some of those named, or give them priors",
-    "failed": "the solver gave up; try other start values, bounds that keep functions finite, or another order",
+    "failed": "the solver made no further progress; try other start values, "
+    "bounds that keep functions finite, or another order",
 }
 """For each status, what it means and what to do."""
 

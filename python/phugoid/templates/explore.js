@@ -86,6 +86,9 @@ function explore(box, data) {
   const bar = add(box, "p", "bar"), back = add(bar, "button", "", "Whole record");
   const told = add(bar, "span", "quiet", data.note);
   back.onclick = () => { span = whole; redraw(); };
+  const keys = add(box, "p", "keys quiet");
+  for (const kind of new Set(data.panels.flatMap(p => [...p.lines.map(l => l[1]), ...(p.residual ? ["residual"] : [])])))
+    add(keys, "span", kind, kind === "residual" ? "residual (grey: ±2σ)" : kind);
   const grid = add(box, "div", "panels");
   const panels = data.panels.map(p => {
     const cell = add(grid, "div", "panel"), head = add(cell, "div", "head"), canvas = add(cell, "canvas", p.residual ? "tall" : "");

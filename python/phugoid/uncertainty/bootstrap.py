@@ -157,7 +157,7 @@ class Bootstrap:
         Cramér-Rao standard error (dashed), the estimate, and the percentile interval at a confidence level (dotted).
 
         ``names`` chooses parameters; by default all that were estimated. Returns the figure and its axes by name.
-        Raises UnknownName for a name that is no parameter, OptionError where fewer than two runs converged.
+        Raises UnknownName for a name that is not a parameter, OptionError where fewer than two runs converged.
         """
         if len(self.estimates) < 2:
             raise OptionError(f"bootstrap: {len(self.estimates)} runs converged: a distribution needs two or more")

@@ -279,7 +279,7 @@ def _chosen(fit: FitResult, names: Any) -> list[str]:
             raise OptionError(f"profile: '{name}' belongs to the noise; profiles are of the model's parameters")
         if name in fit.parameters:
             raise OptionError(f"profile: '{name}' is fixed")
-        raise OptionError(f"profile: '{name}' is no parameter of the fit.{listing(str(name), free)}")
+        raise OptionError(f"profile: '{name}' is not a parameter of the fit.{listing(str(name), free)}")
     return list(dict.fromkeys(asked))
 
 

@@ -167,7 +167,7 @@ impl<'a> Interpolant<'a> {
 /// # Panics
 /// As [`interpolate`], and for another order than 1 or 2.
 pub fn derivative(kind: Interpolation, t: &[f64], values: &[f64], at: &[f64], order: usize) -> Vec<f64> {
-    assert!(matches!(order, 1 | 2), "derivatives of order 1 and 2 are there, not of order {order}");
+    assert!(matches!(order, 1 | 2), "derivatives of order 1 and 2 are available, not of order {order}");
     let slopes = if kind == Interpolation::Cubic { spline_slopes(t, values) } else { Vec::new() };
     let inside = |i: usize, s: f64| {
         let h = t[i + 1] - t[i];

@@ -154,7 +154,7 @@ impl Mesh {
         // In time order, so that two samples at one point stand side by side.
         if let Some(i) = mesh.sample_points.windows(2).position(|w| w[0] == w[1]) {
             return Err(Error::data(format!(
-                "the samples at {} s and {} s are closer than the mesh can tell; drop one of them",
+                "the samples at {} s and {} s are too close together for the mesh; drop one of them",
                 t[i],
                 t[i + 1]
             )));

@@ -32,7 +32,7 @@ impl<'a, 'py> FromPyObject<'a, 'py> for Operand {
         }
         let value: f64 = object.extract().map_err(|_| {
             let kind = object.get_type().name().map_or_else(|_| "object".into(), |n| n.to_string());
-            PyTypeError::new_err(format!("a {kind} is no expression and no number"))
+            PyTypeError::new_err(format!("a {kind} is neither an expression nor a number"))
         })?;
         Ok(Operand(Expr::constant(value)))
     }

@@ -153,7 +153,7 @@ pub fn information<'py>(
         Err(NoInformation::Singular(KktError::Dependent { row })) => {
             return Err(named(
                 "EvaluationError",
-                format!("the {} depends on others", nlp.constraint_name(row)),
+                format!("the {} depends linearly on others", nlp.constraint_name(row)),
             ));
         }
         Err(NoInformation::Singular(other)) => return Err(named("EvaluationError", other.to_string())),

@@ -25,7 +25,7 @@ pub fn starts(given: Vec<(String, StartSpec<'_>)>) -> Vec<(String, Start)> {
     given.into_iter().map(|(name, spec)| (name, one(spec))).collect()
 }
 
-/// Raises ModelError for a name that is no parameter, sigma or state, nor one of these of the noise.
+/// Raises ModelError for a name that is not a parameter, sigma or state, nor one of these of the noise.
 #[pyfunction]
 #[allow(clippy::needless_pass_by_value)]
 pub fn check_start(

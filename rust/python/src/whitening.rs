@@ -58,7 +58,7 @@ impl PyWhitening {
             |(inverse, at): &(Vec<f64>, Vec<usize>)| !inverse.is_empty() && at.iter().all(|&i| i < rows);
         let found = Whitening::new(&models, mixings.iter().filter(|m| inside(m)).cloned().collect());
         if found.rows() != rows || !mixings.iter().all(inside) {
-            return Err(PyValueError::new_err("strands leave no row out"));
+            return Err(PyValueError::new_err("uniform segments must contain every row"));
         }
         Ok(PyWhitening(found))
     }

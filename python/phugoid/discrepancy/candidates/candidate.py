@@ -23,6 +23,7 @@ __all__ = [
     "Candidate",
     "Effect",
     "ExtensionBuilder",
+    "added_by_centre",
     "has_unknown_centre",
     "is_function",
     "largest_coefficient",
@@ -129,8 +130,12 @@ _Self = TypeVar("_Self", bound="Effect")
 _NEAR = 0.05
 # Families that are functions of the present value of one variable, other than constants and linear ones.
 _SHAPED = ("square", "cube", "quadratic", "absolute", "root", "sign", "deadband", "saturation")
-# Families of which the trim matters though the model has a linear term.
-_ABOUT_TRIM = ("cube", "quadratic", "absolute")
+# What a function about a trim has in addition about another one; a linear term, which models mostly have, aside.
+_ADDED = {"square": "bias", "cube": "square", "quadratic": "absolute", "absolute": "sign"}
+# Families with a kink, or a jump of the curvature, at the centre.
+_KINKED = ("quadratic", "absolute")
+# A centre is zero within this part of a variable's range.
+_ZERO = 0.02
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -188,32 +193,47 @@ class Effect(Candidate):
         zero = [0.0 if scales.reaches_zero(n) else scales.centre(n) for n in names]
         first = [float(np.mean([of(p.values, n, p, "state, input or quantity")[0] for p in points])) for n in names]
         for centres in (zero, first):
+            if centres is first and self.family in _KINKED and not all(map(scales.is_inside, names, first)):
+                continue  # as it is without the kink
             far = [
                 any(abs(a - b) > _NEAR * scales.span(n) for a, b, n in zip(centres, t, names, strict=True))
                 for t in tried
             ]
             if all(far):
                 tried.append(centres)
-                found.append(self.on(replace(scales, trim={**scales.trim, **dict(zip(names, centres, strict=True))})))
+                found.append(self._about(dict(zip(names, centres, strict=True))))
         return found
 
     def moved(self: _Self, by: float) -> _Self:
         """Return the same effect about another centre of its variable, rounded so that equations can be read."""
         (name,) = self.variables
-        digits = 3 - math.floor(math.log10(self.scales.span(name)))
-        trim = {**self.scales.trim, name: round(self.scales.centre(name) + by, digits)}
-        return self.on(replace(self.scales, trim=trim))
+        span, centre = self.scales.span(name), self.scales.centre(name) + by
+        centre = 0.0 if abs(centre) < _ZERO * span else round(centre, 3 - math.floor(math.log10(span)))
+        return self._about({name: centre})
+
+    def _about(self: _Self, centres: Mapping[str, float]) -> _Self:
+        scales = self.scales
+        return self.on(replace(scales, trim={**scales.trim, **centres}, moved=scales.moved | centres.keys()))
 
     def __repr__(self) -> str:
         return f"<{self.name}: {self.explanation}>"
 
 
 def has_unknown_centre(candidate: Candidate) -> bool:
-    """Tell whether a candidate is a function of one variable about a trim that is not given, and that no linear term
-    makes up for."""
-    if not isinstance(candidate, Effect) or candidate.family not in _ABOUT_TRIM or not candidate.centred:
+    """Tell whether a candidate is a function of one variable about a trim that is not given."""
+    if not isinstance(candidate, Effect) or candidate.family not in _ADDED or not candidate.centred:
         return False
     return len(candidate.variables) == 1 and candidate.variables[0] not in candidate.scales.given
+
+
+def added_by_centre(function: Candidate, other: Candidate) -> bool:
+    """Tell whether a term is what a function of a variable has in addition about another centre."""
+    if not has_unknown_centre(function) or not isinstance(function, Effect) or not isinstance(other, Effect):
+        return False
+    if other.family != _ADDED[function.family]:
+        return False
+    # A constant elsewhere may do the same: the bias of a sensor behind a linear equation.
+    return other.family == "bias" or (other.place == function.place and other.variables == function.variables)
 
 
 def is_function(candidate: Candidate, variable: str = "") -> bool:

@@ -2,38 +2,19 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, combinations_with_replacement
 from typing import Any, Literal
 
-from ..._core import Expr
 from ...errors import ModelError, OptionError, did_you_mean
 from ...modelling.model import Model
-from ...sensitivities import Place, Points
-from ..misfit.phrases import per_second
-from .candidate import Effect, unused
-from .channel_effects import (
-    ClippedSensor,
-    DeadBand,
-    EquationScale,
-    InputBias,
-    InputDelay,
-    InputLag,
-    InputScale,
-    Saturation,
-    SensorCurve,
-    SensorDelay,
-    SensorLag,
-    SensorScale,
-)
+from ...sensitivities import Points
+from .candidate import Effect
+from .catalogue import Catalogue, Names, stem
 from .collection import Candidates, Directions, read_terms
-from .hysteresis import FlexibleMode, Hysteresis, Stribeck
-from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
-from .model_structure import ANGLES, TURN, ModelStructure, Variable
-from .scales import Scales, output_key, trim_of
-from .terms import FORMS, LaggedVariable, ParameterDrift, ParameterStep, Periodic, Rate, Ripple, Term, where
+from .model_structure import ModelStructure
+from .scales import Scales, trim_of
+from .terms import Term, where
 
 __all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]
 
@@ -75,10 +56,6 @@ FAMILIES = (
 )
 # Those with a signal that depends on no shape: only they can be seen to be the same at single points.
 _STATIC = FAMILIES[: FAMILIES.index("lag")]
-# Coordinates of a mechanism, at most, whose rotation may act on each other: the terms are the cube of that many.
-_COORDINATES = 3
-# What can be wrong with a condition, which is measured and not commanded: nothing that an actuator does.
-_OF_CONDITIONS = ("scale", "bias", "delay")
 
 
 def candidates(
@@ -133,9 +110,9 @@ def candidates(
     trim |= {late: trim[of] for late, (of, _) in model.delays.inputs.items() if of in trim}
     scales = Scales.of(points, trim) if points is not None else Scales(trim=trim)
     structure = ModelStructure(model, equations == "all", base)
-    names = _Names(model)
+    names = Names(model)
     own = list(_own(model, structure, scales, terms or {}, names))
-    made = [c for c in _library(structure, scales, names) if c.family not in leave_out]
+    made = [c for c in Catalogue(structure, scales, names).all() if c.family not in leave_out]
     kept = _distinct(own, made, Directions(model, scales))
     return Candidates(c for c in kept if points is None or c.worthwhile())
 
@@ -158,330 +135,14 @@ def _check(model: Any, trim: Any, leave_out: Any, equations: Any, base: Any) -> 
             raise OptionError(f"candidates: there is no family '{family}'.{hint} There are: {', '.join(FAMILIES)}.")
 
 
-class _Names:
-    """Names of new parameters: none twice, none of the model's."""
-
-    def __init__(self, model: Model) -> None:
-        self._taken = {*model.state_names, *model.parameter_names, *model.output_names, "time"}
-        self._taken |= {*model.quantity_names, *model.declared_inputs}
-
-    def __call__(self, wanted: str) -> str:
-        return unused(re.sub(r"\W+", "_", wanted).strip("_"), self._taken)
-
-
 def _own(
-    model: Model, structure: ModelStructure, scales: Scales, terms: Mapping[str, Any], names: _Names
+    model: Model, structure: ModelStructure, scales: Scales, terms: Mapping[str, Any], names: Names
 ) -> Iterator[Effect]:
     for place, what, e in read_terms(model, terms):
         name = f"{structure.shown(place)}:{what}"
         words = f"{where(place)} contains a term proportional to {str(e).replace('**', '^')}"
-        coefficient = names(f"{_stem(place)}_{what}")
+        coefficient = names(f"{stem(place)}_{what}")
         yield Term(name, place, words, "own", scales, (coefficient,), variables=tuple(e.symbols), given=e)
-
-
-def _stem(place: Place) -> str:
-    """Beginning of the names of coefficients there."""
-    return {"equation": f"{place.name}_dot", "output": f"y_{place.name}"}.get(place.kind, place.name)
-
-
-def _library(structure: ModelStructure, scales: Scales, names: _Names) -> Iterator[Effect]:
-    model = structure.model
-    for place in structure.places:
-        if place.kind == "output":
-            yield from _in_output(structure, place, scales, names)
-        else:
-            yield from _in_equation(structure, place, scales, names)
-    for variable in structure.variables:
-        if variable.kind == "input" and structure.used(variable.symbol):
-            of = _OF_CONDITIONS if model.is_condition(variable.symbol) else FAMILIES
-            yield from (c for c in _on_input(structure, variable, scales, names) if c.family in of)
-    yield from _limits(structure, scales, names)
-    for name in structure.acting:
-        words, place = f"{name} changes during the record", Place("parameter", name)
-        yield ParameterDrift(f"{name}:drift", place, words, "variation", scales, (names(f"drift_{name}"),))
-    for name in structure.acting:
-        words, place = f"{name} jumps during the record (a load dropped, a part that failed)", Place("parameter", name)
-        shape = (names(f"time_of_step_{name}"),)
-        yield ParameterStep(f"{name}:step", place, words, "step", scales, (names(f"step_{name}"),), shape)
-
-
-def _term(
-    structure: ModelStructure, place: Place, form: str, factors: Sequence[Variable], scales: Scales, names: _Names
-) -> Term:
-    f, shown = FORMS[form], [v.shown for v in factors]
-    coefficient = names(f"{_stem(place)}_{f.suffix.format(*shown)}")
-    name = f"{structure.shown(place)}:{f.what.format(*shown)}"
-    symbols = tuple(v.symbol for v in factors)
-    unit = structure.model.units.get(place.name, "") if place.kind == "output" else ""
-    if form == "drift" and unit:
-        unit = per_second(unit)
-    return Term(
-        name,
-        place,
-        "",
-        form.partition(",")[0],
-        scales,
-        (coefficient,),
-        variables=symbols,
-        form=form,
-        shown=tuple(shown),
-        unit=unit if form in ("bias", "drift") else "",
-        moving=len(factors) == 1 and (factors[0].speed or factors[0].rate),
-    )
-
-
-def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names: _Names) -> Iterator[Effect]:
-    variables = structure.variables
-
-    def term(form: str, *factors: Variable) -> Term:
-        return _term(structure, place, form, factors, scales, names)
-
-    yield term("bias")
-    words = f"{where(place)} is larger by a factor (another mass, inertia or gear ratio)"
-    scale = names(f"k_{_stem(place)}")
-    yield EquationScale(f"{structure.shown(place)}:scale", place, words, "factor", scales, (scale,))
-    for form in ("linear", "square", "cube", "quadratic"):
-        yield from (term(form, v) for v in structure.declared_in(place))
-    if place.kind == "quantity":
-        for form in ("linear", "square", "quadratic"):
-            yield from (term(form, v) for v in structure.declared_beside(place))
-    for form in ("linear", "square"):
-        yield from (term(form, v) for v in variables)
-    yield from (term("product", v, w) for v, w in combinations(variables, 2))
-    states = [v for v in variables if v.kind == "state"]
-    yield from (term("damping", v, w) for v, w in combinations(states, 2) if w.rate)
-    yield from (term("damping, rate first", v, w) for v, w in combinations(states, 2) if v.rate)
-    inputs = [v for v in variables if v.kind == "input"]
-    yield from (term("effectiveness", v, w) for v in states if not v.rate for w in inputs)
-    yield from (term(form, *factors) for form, factors in _of_rotation(structure, place))
-    for form in ("cube", "quadratic", "absolute"):
-        yield from (term(form, v) for v in variables)
-    yield from (term("root", v) for v in variables if structure.is_store(v))
-    yield from (term("sign", v) for v in variables if v.speed or v.kind == "input")
-    shown, stem, words = structure.shown(place), _stem(place), where(place)
-    yield from (_lagged(structure, place, v, scales, names) for v in variables)
-    yield from _with_memory(structure, place, scales, names)
-    coefficients = names(f"{stem}_sin"), names(f"{stem}_cos")
-    yield Periodic(
-        f"{shown}:periodic",
-        place,
-        f"a periodic disturbance acts on {words}",
-        "periodic",
-        scales,
-        coefficients,
-        (names(f"{stem}_frequency"),),
-    )
-
-
-def _of_rotation(structure: ModelStructure, place: Place) -> Iterator[tuple[str, tuple[Variable, ...]]]:
-    """Yield the forms and factors of forces by the rotation of others: an equation of motion of one coordinate holds
-    positions times products of rates, not both its own (Lagrange's equations with a mass matrix that depends on the
-    position)."""
-    coordinates = structure.coordinates
-    own = next((v for _, v in coordinates if structure.force_on(v.symbol) == place), None)
-    if own is None or not 2 <= len(coordinates) <= _COORDINATES:
-        return
-    for x, _ in coordinates:
-        form = "rotation, angle" if structure.turns_freely(x.symbol) else "rotation"
-        for v, w in combinations_with_replacement([v for _, v in coordinates], 2):
-            if v is not w:
-                yield f"{form}, two rates", (x, v, w)
-            elif v is not own:
-                yield form, (x, v)
-
-
-def _lagged(
-    structure: ModelStructure, place: Place, variable: Variable, scales: Scales, names: _Names
-) -> LaggedVariable:
-    shown, stem = structure.shown(place), _stem(place)
-    return LaggedVariable(
-        f"{shown}:lag_{variable.shown}",
-        place,
-        f"{where(place)} follows {variable.shown} with a lag (unsteady effect)",
-        "lag",
-        scales,
-        (names(f"{stem}_lag_{variable.shown}"),),
-        (names(f"tau_{stem}_{variable.shown}"),),
-        variables=(variable.symbol,),
-    )
-
-
-def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names: _Names) -> Iterator[Effect]:
-    """Friction that is larger at rest, hysteresis of what moves, and a mode."""
-    shown, stem, words = structure.shown(place), _stem(place), where(place)
-    for v in structure.variables:
-        if v.kind == "state" and v.speed:
-            yield Stribeck(
-                f"{shown}:stribeck_{v.shown}",
-                place,
-                f"{words} has dry friction that is larger where {v.shown} is small (Stribeck effect)",
-                "stribeck",
-                scales,
-                (names(f"{stem}_stribeck_{v.shown}"),),
-                (names(f"speed_{stem}_{v.shown}"),),
-                variables=(v.symbol,),
-                beside="" if structure.has_friction(place, v.symbol) else f"{shown}:sign({v.shown})",
-            )
-        moves = v.rate or structure.model.units.get(v.symbol, "").endswith("/s")
-        if v.kind == "state" and v.symbol in structure.dynamics and not moves:
-            yield Hysteresis(
-                f"{shown}:hysteresis_{v.shown}",
-                place,
-                f"{words} depends on the reversals of {v.shown} (hysteresis, or dry friction that yields)",
-                "hysteresis",
-                scales,
-                (names(f"{stem}_hysteresis_{v.shown}"),),
-                (names(f"yield_{stem}_{v.shown}"), names(f"turn_{stem}_{v.shown}")),
-                variables=(v.symbol,),
-            )
-    for v in structure.variables:
-        if structure.is_position(v):
-            yield _ripple(structure, place, v, "cogging, ripple of a motor or a gear", scales, names)
-    if any(v.kind == "input" and v.symbol in structure.expression(place).symbols for v in structure.variables):
-        yield LimitedForce(
-            f"{shown}:saturation",
-            place,
-            f"{words} is limited in both directions (saturation of a current, force or traction)",
-            "saturation",
-            scales,
-            (),
-            (names(f"saturation_{stem}"),),
-        )
-    yield FlexibleMode(
-        f"{shown}:mode",
-        place,
-        f"{words} excites a lightly damped mode that the model lacks",
-        "mode",
-        scales,
-        (names(f"{stem}_mode"),),
-        (names(f"frequency_{stem}_mode"), names(f"damping_{stem}_mode")),
-    )
-
-
-def _ripple(
-    structure: ModelStructure, place: Place, variable: Variable, reason: str, scales: Scales, names: _Names
-) -> Ripple:
-    shown, stem = variable.shown, _stem(place)
-    return Ripple(
-        f"{structure.shown(place)}:periodic_{shown}",
-        place,
-        f"{where(place)} is periodic in {shown} ({reason})",
-        "ripple",
-        scales,
-        (names(f"{stem}_sin_{shown}"), names(f"{stem}_cos_{shown}")),
-        (names(f"wave_number_{stem}_{shown}"),),
-        variables=(variable.symbol,),
-        turn=TURN.get(structure.model.units.get(variable.symbol, ""), 0.0),
-    )
-
-
-def _limits(structure: ModelStructure, scales: Scales, names: _Names) -> Iterator[Effect]:
-    """States that go no further: positions meet a stop, stores are full."""
-    places = {place.name for place in structure.places if place.kind == "equation"}
-    units = structure.model.units
-    for v in structure.variables:
-        x = v.symbol
-        if v.kind != "state" or x not in structure.dynamics or v.rate or structure.turns_freely(x):
-            continue
-        e, limit = structure.dynamics[x], names(f"limit_of_{x}")
-        speed = next((w.symbol for w in structure.variables if w.kind == "state" and e == Expr.symbol(w.symbol)), "")
-        at = structure.force_on(speed) if speed else None
-        if at is not None:
-            words = f"{x} meets an end stop, which acts on {speed} like a stiff spring"
-            stiffness = names(f"stop_of_{x}")
-            shape = limit, names(f"loss_of_{x}")
-            yield EndStop(f"{x}:limit", at, words, "limit", scales, (stiffness,), shape, variables=(x,), speed=speed)
-        elif x in places and units.get(x, "") not in ANGLES and not units.get(x, "").endswith("/s"):
-            words = f"{x} stops at a limit (overflow, a store that is full or empty)"
-            yield StateLimit(f"{x}:limit", Place("equation", x), words, "limit", scales, (), (limit,), variables=(x,))
-
-
-def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _Names) -> Iterator[Effect]:
-    shown, y = structure.shown(place), place.name
-    rates = [v for v in structure.variables if v.rate]
-
-    def term(form: str, *factors: Variable) -> Term:
-        return _term(structure, place, form, factors, scales, names)
-
-    yield term("bias")
-    words = f"the measurement of {y} has a wrong scale factor"
-    yield SensorScale(f"{shown}:scale", place, words, "scale", scales, (names(f"k_{y}"),))
-    yield term("drift")
-    yield from (term("linear", v) for v in structure.variables)
-    yield from (term("square", v) for v in rates)
-    yield from (term("product", v, w) for v, w in combinations(rates, 2))
-    yield from (Rate.of(place, shown, v.symbol, names(f"y_{y}_{v.shown}_dot"), scales) for v in rates)
-    for power, degree in ((2, "square"), (3, "cube")):
-        if power == 3 or y not in {v.shown for v in rates}:  # of a rate there is its square already
-            words = f"the measurement of {y} contains a term proportional to its {degree} (nonlinear characteristic)"
-            coefficients, key = (names(f"y_{y}_{y}{power}"),), (output_key(y),)
-            name = f"{shown}:{y}^{power}"
-            yield SensorCurve(name, place, words, "curve", scales, coefficients, variables=key, power=power)
-    # Where an input acts on an output at once, a part of it may act through dynamics that the model has not.
-    at_once = {*structure.expression(place).symbols}
-    inputs = [v for v in structure.variables if v.kind == "input" and v.symbol in at_once]
-    yield from (_lagged(structure, place, v, scales, names) for v in inputs)
-    for v in structure.variables:
-        if v.kind == "state" and structure.is_angle(v):
-            yield _ripple(structure, place, v, "an eccentric disc, wind against a heading", scales, names)
-    words = f"the measurement of {y} is clipped at a limit"
-    yield ClippedSensor(
-        f"{shown}:clipped", place, words, "clipped", scales, (), (names(f"limit_{y}"),), variables=(output_key(y),)
-    )
-    shows = [v for v in structure.variables if v.symbol in at_once]
-    if any(structure.is_position(v) or (shows == [v] and structure.is_angle(v)) for v in shows):
-        words = f"the sensor of {y} has backlash: after a reversal it stays until the motion exceeds twice the estimate"
-        key = (output_key(y),)
-        yield Backlash(
-            f"{shown}:backlash", place, words, "backlash", scales, (), (names(f"backlash_{y}"),), variables=key
-        )
-    words = f"the measurement of {y} follows with a lag (sensor or filter)"
-    yield SensorLag(f"{shown}:lag", place, words, "lag", scales, (), (names(f"lag_{y}"),))
-    if y not in structure.model.delays.outputs:
-        yield SensorDelay(
-            f"{shown}:delay",
-            place,
-            f"{y} is measured with a delay (negative: ahead of the other channels)",
-            "delay",
-            scales,
-            (),
-            (names(f"tau_{y}"),),
-        )
-
-
-def _on_input(structure: ModelStructure, variable: Variable, scales: Scales, names: _Names) -> Iterator[Effect]:
-    u, symbol = variable.shown, variable.symbol
-    place, variables = Place("input", symbol), (symbol,)
-    yield InputScale(
-        f"{u}:scale",
-        place,
-        f"{u} acts with another scale factor",
-        "scale",
-        scales,
-        (names(f"k_{u}"),),
-        variables=variables,
-    )
-    yield InputBias(
-        f"{u}:bias", place, f"{u} acts with an offset", "bias", scales, (names(f"b_{u}"),), variables=variables
-    )
-    shaped: list[tuple[Callable[..., Effect], str, str, str]] = [
-        (DeadBand, "deadband", f"deadband_{u}", f"small deflections of {u} have no effect (dead-band)"),
-        (Saturation, "saturation", f"saturation_{u}", f"large deflections of {u} are cut off (saturation)"),
-        (
-            Backlash,
-            "backlash",
-            f"backlash_{u}",
-            f"{u} has backlash: after a reversal it has no effect until its motion exceeds twice the estimate",
-        ),
-        (RateLimit, "rate_limit", f"rate_limit_{u}", f"the rate of {u} is limited"),
-        (InputLag, "lag", f"lag_{u}", f"{u} acts with a lag (first-order actuator)"),
-    ]
-    if symbol not in structure.model.delays.inputs:
-        shaped.append(
-            (InputDelay, "delay", f"tau_{u}", f"{u} acts with a transport delay (negative: its record is delayed)")
-        )
-    for make, family, parameter, words in shaped:
-        yield make(f"{u}:{family}", place, words, family, scales, (), (names(parameter),), variables=variables)
 
 
 def _distinct(own: Sequence[Effect], made: Sequence[Effect], directions: Directions) -> list[Effect]:

@@ -11,7 +11,7 @@ from ..._core import Expr
 from ...modelling.model import Model
 from ...sensitivities import Place
 
-__all__ = ["ANGLES", "ANGULAR_RATES", "TURN", "ModelStructure", "Variable", "addends"]
+__all__ = ["ANGLES", "ANGULAR_RATES", "LENGTHS", "TURN", "ModelStructure", "Variable", "addends"]
 
 TURN = {"rad": 2.0 * math.pi, "deg": 360.0, "°": 360.0}
 """Unit of an angle -> a turn in it."""
@@ -27,6 +27,9 @@ _SINES, _JUMPS = ("sin", "cos", "tan"), ("sign", "tanh", "atan")
 
 ANGULAR_RATES = ("rad/s", "deg/s", "°/s", "1/s")
 """Units of angular rates."""
+
+LENGTHS = ("m", "km", "ft", "nmi", "NM")
+"""Units of positions."""
 
 
 @dataclass(frozen=True)
@@ -163,6 +166,20 @@ class ModelStructure:
         """Tell whether a state is an angle of which sines or cosines are taken, as of an attitude or of a pendulum."""
         groups = (self.quantities, self.dynamics, self.outputs)
         return any(_is_within(e, name, _SINES) for group in groups for e in group.values() if name in e.symbols)
+
+    def interact(self, place: Place, one: Variable, other: Variable) -> bool:
+        """Tell whether what one variable does at a place depends on another one, as in a reaction of two substances."""
+        e = self.expression(place)
+        if not {one.symbol, other.symbol} <= {*e.symbols}:
+            return False
+        mixed = Expr(Expr(e.diff(one.symbol)).diff(other.symbol)).constant
+        return mixed is None or mixed != 0.0
+
+    def is_weighed(self, place: Place, variable: Variable) -> bool:
+        """Tell whether what a variable does at a place depends on a parameter that is estimated."""
+        e = self.expression(place)
+        slope = Expr(e.diff(variable.symbol)) if variable.symbol in e.symbols else Expr(0.0)
+        return bool(self._parameters & {*slope.symbols})
 
     def has_friction(self, place: Place, name: str) -> bool:
         """Tell whether a jump with the sign of a rate stands at a place already, sharp or rounded."""

@@ -85,7 +85,7 @@ class Scales:
     """Trims, least and greatest values by name (states, inputs, quantities; outputs by `output_key`, rates by
     `rate_key`), numbers of levels of what takes a few values only, and of time (s): first, longest record, interval.
 
-    given: names of which the user gave the trim.
+    Of names in ``given`` the user gave the trim, of those in ``moved`` a candidate has one of its own.
 
     What is not known is taken as centred at 0, with a range of 1, over 20 s at 50 Hz: a library without data.
     """
@@ -98,6 +98,7 @@ class Scales:
     duration: float = 20.0
     interval: float = 0.02
     given: frozenset[str] = frozenset()
+    moved: frozenset[str] = frozenset()
 
     @staticmethod
     def of(points: Sequence[Points], trim: Mapping[str, float] | None = None) -> Scales:
@@ -123,6 +124,18 @@ class Scales:
     def centre(self, name: str) -> float:
         """Return where powers of a variable are centred."""
         return self.trim.get(name, 0.0)
+
+    def is_near(self, name: str, value: float) -> bool:
+        """Tell whether a value is no further from those of a variable than these are apart."""
+        span = self.span(name)
+        return self.low.get(name, 0.0) - span <= value <= self.high.get(name, 0.0) + span
+
+    def is_inside(self, name: str, value: float) -> bool:
+        """Tell whether a variable has values well on both sides of one, as far as is known."""
+        if name not in self.low:
+            return True
+        edge = _CROSSES * self.span(name)
+        return self.low[name] + edge < value < self.high[name] - edge
 
     def span(self, name: str) -> float:
         """Peak to peak; 1 where it is not known or nothing."""

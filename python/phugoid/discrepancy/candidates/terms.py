@@ -14,7 +14,7 @@ from ..._core import Expr
 from ...functions import Table, cos, sin, smooth_abs, smooth_sign, smooth_step, sqrt
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
-from .candidate import Effect, ExtensionBuilder, largest_coefficient, place_range
+from .candidate import Candidate, Effect, ExtensionBuilder, largest_coefficient, place_range
 from .scales import Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lagged, longest_lag, of
 
 __all__ = [
@@ -191,8 +191,21 @@ class Term(Effect):
         # Lever arms at sensors multiply rates as they are: outputs are not centred.
         return bool(self.form) and FORMS[self.form].centred and self.place.kind != "output"
 
+    @property
+    def _is_about_zero(self) -> bool:
+        """Whether it is the square of what is positive, such as a rate of reaction and a drag have: about a trim a
+        constant would be needed beside it."""
+        if self.form != "square" or not self.centred:
+            return False
+        (x,) = self.variables
+        set_already = x in self.scales.given or x in self.scales.moved
+        return not set_already and self.scales.is_positive(x) and self.scales.reaches_zero(x)
+
     def _centre(self, name: str) -> float:
-        return self.scales.centre(name) if self.centred else 0.0
+        return self.scales.centre(name) if self.centred and not self._is_about_zero else 0.0
+
+    def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
+        return () if self._is_about_zero else super().variants(points)
 
     @property
     def expression(self) -> Expr:

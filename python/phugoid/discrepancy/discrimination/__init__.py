@@ -56,8 +56,15 @@ class DiscriminatingManoeuvre:
         return (
             f"A {self.manoeuvre}, recorded for {length} s, is expected to distinguish it from "
             f"{joined(tuple(self.gains), 'and')} (expected gain in log-likelihood {number(min(self.gains.values()))}, "
-            f"this record gives {self.here:.1f})."
+            f"{_so_far(self.here)})."
         )
+
+
+def _so_far(gain: float) -> str:
+    """Return what the records at hand say of a cause against its likeliest rival."""
+    if gain < -0.05:
+        return f"the present records are {-gain:.1f} in favour of the likeliest of these"
+    return f"the present records give {gain:.1f}"
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,7 @@ def number(value: float, digits: int = 2) -> str:
     """Return a number as an engineer writes it: 0.28, 3.1, 120, 2.3e-05."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
-    if 10.0**digits <= abs(value) < 1e5:
+    if 10.0**digits - 0.5 <= abs(value) < 1e5:  # 99.7 is 100, not 1e+02
         return f"{value:.0f}"
     return f"{value:.{digits}g}"
 

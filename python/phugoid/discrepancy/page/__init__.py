@@ -89,7 +89,7 @@ def _minor(findings: Sequence[Finding]) -> str:
     open_ = [f.cause for f in findings if f.explained > AssessmentSettings.minor]
     text = ""
     if little:
-        text += f" Minor: {', '.join(little)}, which {'explains' if len(little) == 1 else 'explain'} very little."
+        text += f" Minor: {', '.join(little)}, significant, but less than 5 % of the misfit."
     if open_:
         what = "is significant, but what it explains" if len(open_) == 1 else "are significant, but what they explain"
         text += f" {', '.join(open_)} {what} of data held out may be chance."

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...data.experiment import Experiment
 from ...sensitivities.linearised import Linearised
-from ..candidates.candidate import Candidate
+from ..candidates.candidate import Candidate, Effect, added_by_centre
 from .confirmation import Confirmation, ConfirmationSettings, Found, Refitting, RefittingSettings
 from .evidence import Assessment, AssessmentSettings, is_physical
 from .finding import ExtensionResult, Gain
@@ -31,7 +31,8 @@ class SearchSettings:
     proposes nothing that is confirmed, though the part ``error`` of the residuals' power is predictable, constants and
     linear terms are tried all, and where the part ``doubt`` is, twice as many as the screen proposes. Where no more
     than ``structure`` is predictable, nothing is unexplained. The trim of a function of one variable is estimated where
-    that gains more than ``centre`` in log-likelihood."""
+    that gains more than ``centre`` in log-likelihood, and with it a term less is as good within ``same``.
+    A cause gives way to another one that is ahead of it by ``ahead`` in twice the log-likelihood beside the others."""
 
     screen: ScreenSettings = field(default_factory=ScreenSettings)
     refitting: RefittingSettings = field(default_factory=RefittingSettings)
@@ -44,6 +45,8 @@ class SearchSettings:
     structure: float = 0.05
     half: float = 0.5
     centre: float = 8.0
+    same: float = 3.0
+    ahead: float = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,12 +170,55 @@ class Search:
             if following is None or following.names in seen:
                 break
             seen.add(following.names)
-            following = self.cache.centred(following, self.settings.centre)
+            following = self._centred(following)
             minor = minor + 1 if self._is_minor(current, following) else 0
             steps.append(following)
             if minor == self.settings.minor:  # what comes next would be less
                 break
         return unexplained
+
+    def _centred(self, at: Refit) -> Refit:
+        """Return the refit with its last function of a variable about the trim that the data ask for; without a term
+        that was needed only since a function was about another trim, as a constant beside a square."""
+        last = at.candidates[-1]
+        # The square about another centre adds a linear term, which may be missing in its own right.
+        tried = [(at, last)] if getattr(last, "family", "") != "square" else []
+        for c in at.candidates:
+            for other in [o for o in at.candidates if added_by_centre(c, o)]:
+                fewer = self.cache.refit([o for o in at.candidates if o is not other], at.fit)
+                tried += [(fewer, c)] if fewer is not None else []
+        square = self._as_square(at)
+        if square is not None:
+            return square
+        for begun, c in tried:
+            found = self.cache.about_zero(begun, c) if begun is not at else None
+            if found is None or found.merit < at.merit - self.settings.same:
+                found = self.cache.about_own_centre(begun, c, self.settings.centre, at.own.filter)
+            if found is not begun and found.merit > at.merit - self.settings.same:
+                assert isinstance(c, Effect)
+                self.cache.adopt(found, c)
+                return found
+        return at
+
+    def _as_square(self, at: Refit) -> Refit | None:
+        """Return the refit with the square of a variable in place of a constant and x|x| on one side of its trim, where
+        it is as good: both are a square."""
+        bent = [c for c in at.candidates if isinstance(c, Effect) and c.family == "quadratic"]
+        for constant in [c for c in at.candidates if getattr(c, "family", "") == "bias"]:
+            for c in bent:
+                squares = [
+                    o
+                    for o in self.cache.candidates
+                    if isinstance(o, Effect)
+                    and (o.family, o.place, o.variables) == ("square", c.place, c.variables)
+                    and o.name not in at.names
+                ]
+                for square in squares[:1]:
+                    others = [o for o in at.candidates if o is not c and o is not constant]
+                    found = self.cache.refit([*others, square], at.fit)
+                    if found is not None and found.merit > at.merit - self.settings.same:
+                        return found
+        return None
 
     def _plain(self, at: Refit) -> Refit | None:
         """Return the refit with one more constant or linear term, of all that there are, that is confirmed."""
@@ -216,6 +262,7 @@ class Search:
 
         Terms that are not named and make the simulation of data held out no better are not reported.
         """
+        at = self._centred(at) if at.candidates else at
         at = self._preferred(at, self._named(at).names)
         final = self._named(at)
         named = {c.name: c for c in final.candidates}
@@ -244,20 +291,21 @@ class Search:
         return at
 
     def _preferred(self, at: Refit, names: Collection[str]) -> Refit:
-        """Return the refit with the most plausible of causes that are the same but for rounding: which one is named
-        must not depend on that."""
+        """Return the refit with the most plausible of causes that are the same but for rounding, on which it must not
+        depend which one is named; and with causes that are likelier beside what came later, and no richer."""
         for name in names:
             candidate = next(c for c in at.candidates if c.name == name)
             others = [c for c in at.candidates if c is not candidate]
             best, rank = at, plausibility(candidate, self.cache.base.fit.model)
-            for r, _ in self.refitting.rivals(at, candidate):
+            for r, ahead in self.refitting.rivals(at, candidate):
                 if r is at or r.names == at.names:
                     continue
                 (new,) = r.beside(others)
                 own = plausibility(new, self.cache.base.fit.model)
                 # With more unknowns it would be as likely by being able to be many things.
                 richer = len(new.parameters) > len(candidate.parameters) or complexity(new) > complexity(candidate)
-                if own >= rank or richer or not is_physical(r, new) or not is_equal(at, r):
+                likelier = best is at and ahead > self.settings.ahead
+                if richer or not is_physical(r, new) or not (likelier or (own < rank and is_equal(best, r))):
                     continue
                 if self.assessment.is_named(r, new, self.confirmation.explained(r, new)):
                     best, rank = r, own
@@ -267,7 +315,7 @@ class Search:
     def _named(self, full: Refit) -> Refit:
         """Return the refit with causes that are named only.
 
-        Of terms that are no cause the one that explains least is left out first: beside it another may look needless.
+        Of terms that are no cause that is left out first which is needed least: beside it another may look needless.
         """
         at = full
         while True:
@@ -276,12 +324,14 @@ class Search:
             weak = [c for c in at.candidates if not assess.is_named(at, c, explained[c.name]) or self._wanders(at, c)]
             if not weak:
                 return at
-            # Of terms that stand for each other the simpler one stays.
-            weak.sort(key=lambda c: (-complexity(c), e.part if (e := explained[c.name]) else 0.0))
-            # Where one set cannot be fitted another may.
+            # Of terms that stand for each other the simpler one stays, of those alike what is likelier without the
+            # other; where one set cannot be fitted another may.
             sets = [[c for c in at.candidates if c is not w] for w in weak]
-            sets.append([c for c in at.candidates if c not in weak])
-            following = next((r for s in sets if (r := self.cache.refit(s, at.fit)) is not None), None)
+            refits = self.cache.refits(sets, at.fit)
+            fitted = [(complexity(w), r) for w, r in zip(weak, refits, strict=True) if r is not None]
+            following = max(fitted, key=lambda pair: (pair[0], pair[1].merit), default=(0, None))[1]
+            if following is None:
+                following = self.cache.refit([c for c in at.candidates if c not in weak], at.fit)
             if following is None:
                 return at
             at = following

@@ -123,7 +123,8 @@ class ConfirmationSettings:
 
     chances  next best candidates that are tried when the best gains nothing on held-out data.
     ringing  candidates that are refitted where residuals ring.
-    vuong    a rival is an alias unless Vuong's test tells them apart by this.
+    vuong    a rival is an alias unless Vuong's test tells them apart by this, or it has less than half of the gain in
+             log-likelihood and is ``far`` behind.
     richer   log-likelihood by which one with more unknowns must be ahead to be an alias.
     left     times as much of the misfit that a term may leave that stands in place of one with more unknowns.
     alias    part of what a cause explains that a rival explains, too, be it clearly less in free simulation.
@@ -132,6 +133,7 @@ class ConfirmationSettings:
     chances: int = 3
     ringing: int = 2
     vuong: float = 2.0
+    far: float = 30.0
     richer: float = 6.0
     left: float = 1.1
     least: float = 0.01
@@ -326,9 +328,13 @@ class Confirmation:
             gain = assess.gain(without, r) / 2
             # One with more unknowns can always be as good.
             richer = complexity(other) == RICH > complexity(candidate)
-            if richer and gain < assess.gain(without, at) / 2 + self.settings.richer:
+            whole = assess.gain(without, at) / 2
+            if richer and gain < whole + self.settings.richer:
                 continue
-            like = other.name in alike and gain > 0.5 * assess.gain(without, at) / 2
+            # The test says little where few samples tell the two apart: this much less is no matter of chance.
+            if gain < 0.5 * whole and whole - gain > self.settings.far:
+                continue
+            like = other.name in alike and gain > 0.5 * whole
             explained = assess.explained(without, r)
             much = explained is None or own is None or explained.part > self.settings.alias * own.part
             if not (like and much) and assess.is_worse(without, r, at):

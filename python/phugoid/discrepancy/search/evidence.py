@@ -16,12 +16,27 @@ from ..candidates.model_structure import addends
 from ..candidates.scales import evaluated
 from ..candidates.terms import Periodic
 from .free_run import Explained, Misfitting, Simulated
-from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, predicted_blocks, predicted_from_blocks
+from .refit import (
+    Blocks,
+    HeldOut,
+    Refit,
+    across_blocks,
+    gain_on_other_data,
+    is_structured,
+)
 from .refit_cache import RefitCache
 from .ringing import is_near, wandering
 from .screen import RICH, complexity
 
-__all__ = ["Assessment", "AssessmentSettings", "Evidence", "chi_square_quantile", "is_determined", "is_physical"]
+__all__ = [
+    "Assessment",
+    "AssessmentSettings",
+    "Evidence",
+    "chi_square_quantile",
+    "is_determined",
+    "is_physical",
+    "is_plausible",
+]
 
 # Families of candidates that tell of the time in a record alone.
 _DRIFTS = ("drift", "variation", "step")
@@ -53,7 +68,7 @@ class AssessmentSettings:
     clear: float = 1.5
     half: float = 0.5
     minor: float = 0.05
-    error: float = 0.8
+    error: float = 0.6
     most: float = 0.5
     chance: float = 0.05
 
@@ -103,6 +118,7 @@ class Assessment:
         self._tries = max(cache.tries, 1)
         # By the refits themselves: two fits of an unknown function may have the same name.
         self._held: dict[tuple[Refit, Refit], HeldOut] = {}
+        self._blocks: dict[tuple[Refit, tuple[str, ...]], Simulated] = {}
         self._in_error: dict[tuple[Refit, Refit], float] = {}
 
     def weigh(self, base: Refit, more: Refit, candidate: Candidate) -> Evidence:
@@ -225,8 +241,8 @@ class Assessment:
         return found is not None and found.significant and found.part > self.settings.minor
 
     def is_named(self, at: Refit, candidate: Candidate, explained: Explained | None) -> bool:
-        """Tell whether a finding names a cause: physical, and worth it in free simulation beyond chance."""
-        return is_physical(at, candidate) and not self.is_minor(explained)
+        """Tell whether a finding names a cause: of a plausible size, and worth it in free simulation beyond chance."""
+        return is_plausible(at, candidate, explained) and not self.is_minor(explained)
 
     def is_minor(self, explained: Explained | None) -> bool:
         """Tell whether a finding explains less of the misfit than is worth a name, or no more than by chance."""
@@ -276,10 +292,11 @@ class Assessment:
     def _from_blocks(self, base: Refit, more: Refit, common: bool) -> Simulated:
         """Errors of the blocks of the records, each predicted by the others, with what a model has beside a base; all
         parameters are ``common`` to the blocks where a drift of one is in question, which own values would hide."""
-        if common:
-            return Simulated.of(more.linear, predicted_from_blocks(more))
-        new = more.beside(base.candidates)
-        return Simulated.of(base.linear, predicted_blocks(base, more, new)[-1][1])
+        key = more, ("all",) if common else tuple(c.name for c in more.beside(base.candidates))
+        if key not in self._blocks:
+            blocks = Blocks.of(more, more.own.filter, more.beside(base.candidates))
+            self._blocks[key] = Simulated.of(more.linear, blocks.common if common else blocks.plain)
+        return self._blocks[key]
 
     def predicts(self, held: HeldOut) -> bool:
         """Tell whether a gain on held-out data is one."""
@@ -361,6 +378,18 @@ def is_physical(at: Refit, candidate: Candidate) -> bool:
         return all(by[n] * low <= values[n] <= by[n] * high for n, (low, high) in limits.items())
 
     return are_within(1.0) or are_within(_cancelling(at, candidate.place)) or candidate.has_reason(values)
+
+
+# Part of the misfit that a cause of any size explains which leaves nothing but noise.
+_ALL, _NOISE = 0.95, 0.05
+
+
+def is_plausible(at: Refit, candidate: Candidate, explained: Explained | None) -> bool:
+    """Tell whether a candidate is of a size that is physical, or leaves nothing but noise of a large misfit, in free
+    simulation too: where large parts of an equation balance each other, one of them is large beside what is left."""
+    if is_physical(at, candidate):
+        return True
+    return explained is not None and explained.interval[0] >= _ALL and not is_structured(at, _NOISE)
 
 
 # Families with a size that says nothing where its error is larger: such a lag or limit holds an input where it was.

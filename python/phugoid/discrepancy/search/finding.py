@@ -273,7 +273,7 @@ class DiagnosisResult:
                        output of which 5 % of the residuals' power, or more, is more than white noise.
         "surrogate", "minor"   findings of that status only, and residuals without more structure than that.
         "nothing"      residuals that are not significantly coloured, as far as these data show.
-        "interrupted"  nothing was found by the time the search was ended, which is no statement about the model.
+        "interrupted"  nothing was found by the time the search was ended, which is not a statement about the model.
         """
         statuses = {f.status for f in self.findings}
         if "named" in statuses:

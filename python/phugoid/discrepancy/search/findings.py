@@ -15,7 +15,7 @@ from ..misfit.phrases import number, per_second, percent
 from . import SearchResult
 from .confirmation import Found
 from .disturbance import Disturbance
-from .evidence import is_physical
+from .evidence import is_plausible
 from .finding import DiagnosisResult, ExtensionResult, Finding, Gain
 from .record_change import RecordChange
 from .recorded_input import RecordedInput
@@ -73,13 +73,14 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
     c = found.candidate
     final = kept if kept is not None and c.name in kept.names else result.of(c)
     explained, stands_in = found.explained, c.name in result.surrogates
+    plausible = is_plausible(final, c, explained)
     parameters = final.parameters(c)
     name = next(iter(parameters))
     value, error = parameters[name]
     return Finding(
         cause=c.name,
         aliases=aliases,
-        status="surrogate" if stands_in or not is_physical(final, c) else "minor" if minor else "named",
+        status="surrogate" if stands_in or not plausible else "minor" if minor else "named",
         coefficient=value,
         std_error=error,
         interval=(value - _INTERVAL * error, value + _INTERVAL * error),
@@ -88,7 +89,7 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
         gain=found.gain,
         held_out_gain=found.held_out[0],
         threshold=found.threshold,
-        explanation=c.explanation + (_STANDS_IN if stands_in else _remark(final, c, parameters)),
+        explanation=c.explanation + (_STANDS_IN if stands_in else _remark(c, parameters, plausible)),
         units={n: final.fit.parameters[n].unit for n in parameters},
         rivals=dict(found.rivals),
         explained=explained.part if explained else float("nan"),
@@ -98,9 +99,9 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
     )
 
 
-def _remark(final: Refit, c: Candidate, parameters: Mapping[str, tuple[float, float]]) -> str:
+def _remark(c: Candidate, parameters: Mapping[str, tuple[float, float]], plausible: bool) -> str:
     """Return what is to be said of the values of a candidate's parameters."""
-    if not is_physical(final, c):
+    if not plausible:
         return _UNPHYSICAL
     return _OTHER_UNITS if c.has_reason({n: value for n, (value, _) in parameters.items()}) else ""
 

@@ -181,7 +181,8 @@ def _differing(at: Refit) -> tuple[Refit, list[tuple[_Difference, tuple[str, ...
         ranked = _ranked(at.linear, options)[:_TRIED]
         if not chosen and is_structured(at, _ERROR):
             # Where one value for all is far from that of any record, first order says nothing of it.
-            ranked += [o for o in options if o.place.kind == "parameter" and o not in ranked][:_MANY]
+            far = [o for o in options if o.place.kind == "parameter"] + [o for o in options if o.scale]
+            ranked += [o for o in far if o not in ranked][:_MANY]
         refits = [(r, o) for o in ranked if (r := _with(at, o)) is not None]
         if not refits:
             break

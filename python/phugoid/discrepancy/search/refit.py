@@ -29,6 +29,7 @@ from ..candidates.candidate import Candidate
 
 __all__ = [
     "BLOCKS",
+    "Blocks",
     "HeldOut",
     "Refit",
     "across_blocks",
@@ -37,8 +38,6 @@ __all__ = [
     "gain_on_other_data",
     "is_structured",
     "on_other_data",
-    "predicted_blocks",
-    "predicted_from_blocks",
     "refit",
     "started_from",
 ]
@@ -217,7 +216,7 @@ _Array = NDArray[np.float64]
 # Blocks of each record that are left out in turn.
 BLOCKS = 4
 # Of what a block says of a parameter: the precision that all data together have is 1.
-_LOOSE, _TINY = 0.01, 1e-9
+_LOOSE = 0.01
 # Directions of the parameters that a block says less of, in parts of the clearest, stay as they are there.
 _RANK = 1e-6
 
@@ -237,65 +236,56 @@ class HeldOut(NamedTuple):
 
 
 def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> HeldOut:
-    """Gain in whitened log-likelihood of the blocks of the records, each predicted by what the others say of the new
-    candidates.
-
-    See `predicted_blocks` for how blocks are predicted.
-    """
-    block = blocks_of(base.linear)
-    without, with_new = (errors for errors, _ in predicted_blocks(base, more, new))
-    gain = 0.5 * (without**2 - with_new**2)
+    """Gain in whitened log-likelihood of the blocks of the records, each predicted by what the others say of all
+    parameters, the new candidates' among them (`Blocks`)."""
+    without, with_new = (Blocks.of(at, more.own.filter, ()).whitened for at in (base, more))
+    gain = np.zeros(base.linear.n_measured)  # a late sensor leaves some samples out
+    gain[base.linear.measured_rows] += 0.5 * without**2
+    gain[more.linear.measured_rows] -= 0.5 * with_new**2
+    there = np.zeros(gain.size, dtype=bool)
+    there[np.intersect1d(base.linear.measured_rows, more.linear.measured_rows)] = True
+    block = np.zeros(gain.size, dtype=np.intp)
+    block[base.linear.measured_rows] = blocks_of(base.linear)
+    gain, block = gain[there], block[there]
     total = float(gain.sum())
     best = max(float(gain[block == b].sum()) for b in range(BLOCKS))
     return HeldOut(total, float(np.sqrt(gain.size) * gain.std()), total - best)
 
 
-def predicted_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> list[tuple[_Array, _Array]]:
-    """Errors of the blocks of the records without and with the new candidates: whitened (n_rows,) as the other blocks
-    predict them; and in the units of the outputs (n_rows,), with the new coefficients as the others predict them and
-    all else as it fits the block best.
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Errors of the blocks of the records, each predicted by the others, to first order about the fit to all: the step
+    that takes out what a block says of the parameters.
 
-    About the fit without them, to first order: their coefficients are those that the other blocks ask for, none
-    where these say nothing of them. Parameters may follow by ten standard errors.
+    whitened  (n_rows,) with all parameters as the others have them. They may follow by ten standard errors.
+    plain     (n_rows,) in the units of the outputs, with the coefficients of some candidates as the others have them
+              and all else as it fits the block best.
+    common    (n_rows,) the same with all parameters as the others have them.
     """
-    linear = base.linear
-    whitened = base.through(more.own.filter)
-    e, block, k = whitened.errors, blocks_of(linear), whitened.basis.shape[1]
-    parts, added = whitened.basis, np.empty((linear.n_rows, 0))
-    scale = linear.scale()
-    found = []
-    for some in ([], new) if new else ([],):
-        if some:
-            columns, _, _ = linear.columns([(c, {n: more.fit.parameters[n].value for n in c.shape_names}) for c in new])
-            c = whitened.filter(columns).T
-            size = np.maximum(np.linalg.norm(c, axis=0), 1e-300)
-            parts, added = np.hstack([whitened.basis, c / size]), columns.T / size
-        damping = np.r_[np.full(k, _LOOSE), np.full(parts.shape[1] - k, _TINY)]
-        white, plain = e.copy(), whitened.residuals.copy()
+
+    whitened: _Array
+    plain: _Array
+    common: _Array
+
+    @staticmethod
+    def of(at: Refit, filter: Filter, held: Sequence[Candidate]) -> Blocks:
+        """Return the errors of a refit's blocks through a filter; the coefficients of ``held`` are the others'."""
+        seen = at.own if filter is at.own.filter else at.through(filter)
+        scale, block, basis = at.linear.scale(), blocks_of(at.linear), seen.basis
+        fixed = np.array([seen.direction(n) for c in held for n in c.parameters]).reshape(-1, basis.shape[1])
+        # Directions of the parameters in which the coefficients stay.
+        free = np.linalg.svd(fixed)[2][np.linalg.matrix_rank(fixed) if fixed.size else 0 :].T
+        white, plain, common = seen.errors.copy(), seen.residuals.copy(), seen.residuals.copy()
         for b in range(BLOCKS):
             inside = block == b
-            seen = parts[~inside]
-            step = np.linalg.solve(seen.T @ seen + np.diag(damping), seen.T @ e[~inside])
-            white[inside] -= parts[inside] @ step
-            rest = (plain[inside] - added[inside] @ step[k:]) / scale[inside]
-            own = whitened.plain_basis[inside] / scale[inside, None]
+            others = basis[~inside]
+            step = np.linalg.solve(others.T @ others + _LOOSE * np.eye(basis.shape[1]), others.T @ seen.errors[~inside])
+            white[inside] -= basis[inside] @ step
+            moves = seen.plain_basis[inside]
+            common[inside] -= moves @ step
+            rest, own = common[inside] / scale[inside], moves @ free / scale[inside, None]
             plain[inside] = scale[inside] * (rest - own @ np.linalg.lstsq(own, rest, rcond=_RANK)[0])
-        found.append((white, plain))
-    return found
-
-
-def predicted_from_blocks(at: Refit) -> _Array:
-    """Return errors (n_rows,) of the blocks of the records, in the units of the outputs, each with all parameters as
-    the other blocks predict them, to first order about the refit itself: a drift may change the path much."""
-    whitened, block = at.own, blocks_of(at.linear)
-    basis, e, plain = whitened.basis, whitened.errors, whitened.residuals.copy()
-    damping = _LOOSE * np.eye(basis.shape[1])
-    for b in range(BLOCKS):
-        inside = block == b
-        seen = basis[~inside]
-        step = np.linalg.solve(seen.T @ seen + damping, seen.T @ e[~inside])
-        plain[inside] -= whitened.plain_basis[inside] @ step
-    return plain
+        return Blocks(white, plain, common)
 
 
 def blocks_of(linear: Linearised) -> NDArray[np.intp]:

@@ -13,7 +13,7 @@ from ...data.experiment import Experiment
 from ...errors import EvaluationError, PhugoidError
 from ...fit_result import FitResult, mean_square
 from ...frozen_model import freed_by_default
-from ...residual_noise.whitening import Whitening
+from ...residual_noise.whitening import Filter, Whitening
 from ...sensitivities.linearised import Linearised
 from ...solvers import check_time
 from ..candidates.candidate import Candidate, Effect, has_unknown_centre, with_variants
@@ -40,8 +40,8 @@ _LITTLE, _OTHERS = 0.1, 4
 # Refits side by side: the solver works without the interpreter's lock.
 _WORKERS = 4
 # Of a trim that is estimated, in parts of the range of the variable: the step of the derivative, the longest step of
-# the estimate; and steps.
-_CENTRE_STEP, _FARTHEST_CENTRE, _CENTRINGS = 0.02, 0.3, 3
+# the estimate; steps; and the gain in log-likelihood of a step that ends it.
+_CENTRE_STEP, _FARTHEST_CENTRE, _CENTRINGS, _SETTLED = 0.02, 0.3, 8, 0.5
 
 
 @dataclass
@@ -139,51 +139,64 @@ class RefitCache:
         self._refits[key] = found
         return found
 
-    def centred(self, at: Refit, least: float) -> Refit:
-        """Return the refit with its last candidate about the centre that the data ask for, where that is a function
-        about a trim that is not known and gains more than ``least`` in log-likelihood there; then it is about this
-        centre in all sets.
+    def about_own_centre(self, at: Refit, candidate: Candidate, least: float, filter: Filter) -> Refit:
+        """Return the refit with a candidate about the centre that the data ask for, where that is a function about a
+        trim that is not known, and gains more than ``least`` in log-likelihood so; else the refit as it is. ``filter``
+        is that of the noise: what a wrong centre leaves may be slow, and hide in a noise model made with it.
 
         The derivative by the centre is that of the function. With the trim a little off the rest would pass for another
         function of the same variable: c (x - a)|x - a| about 0 leaves -2 c a |x|.
         """
+        needed = least
         for _ in range(_CENTRINGS):
-            candidate = at.candidates[-1]
             if not isinstance(candidate, Effect) or not has_unknown_centre(candidate):
                 break
-            span = candidate.scales.span(*candidate.variables)
+            others = at.beside([candidate])
+            (name,) = candidate.variables
+            span = candidate.scales.span(name)
             step = _CENTRE_STEP * span
             scan = Scan(at.linear, [candidate.moved(step)])
-            if not scan.effects:
-                break
-            seen = scan.through(at.own.filter)
             amplitude = at.fit.parameters[candidate.coefficients[0]].value
-            if seen.values[0] < 2.0 * least or amplitude == 0.0:
+            seen = scan.through(filter) if scan.effects and amplitude else None
+            if seen is None or seen.values[0] < 2.0 * needed:
                 break
             farthest = _FARTHEST_CENTRE * span
-            by = float(np.clip(step * seen.amplitudes[0][0] / amplitude, -farthest, farthest))
-            self.watch(f"fitting with {candidate.name} about another trim")
-            moved = [*at.candidates[:-1], candidate.moved(by)]
-            found = refit(self.base.fit, moved, {}, at.fit, self.base.linear.points)
-            if found is None or found.merit < at.merit + least:
+            moved = candidate.moved(float(np.clip(step * seen.amplitudes[0][0] / amplitude, -farthest, farthest)))
+            if not moved.scales.is_near(name, moved.scales.centre(name)):
                 break
-            self._replace(candidate, by, found)
-            at = found
+            self.watch(f"fitting with {candidate.name} about another trim")
+            found = refit(self.base.fit, [*others, moved], {}, at.fit, self.base.linear.points)
+            if found is None or found.merit < at.merit + needed:
+                break
+            at, candidate, needed = found, moved, _SETTLED
         return at
 
-    def _replace(self, candidate: Effect, by: float, found: Refit) -> None:
-        """Forget what is known of a candidate, and have it about another centre from here on."""
+    def about_zero(self, at: Refit, candidate: Candidate) -> Refit | None:
+        """Return the refit with a function about zero, such as a rate of reaction or a drag has; None where zero is far
+        from the record."""
+        if not isinstance(candidate, Effect) or not has_unknown_centre(candidate):
+            return None
+        (name,) = candidate.variables
+        if not candidate.scales.reaches_zero(name):
+            return None
+        moved = candidate.moved(-candidate.scales.centre(name))
+        self.watch(f"fitting with {candidate.name} about zero")
+        return refit(self.base.fit, [*at.beside([candidate]), moved], {}, at.fit, self.base.linear.points)
+
+    def adopt(self, found: Refit, candidate: Effect) -> None:
+        """Have a candidate about the centre that it has in a refit from here on, and forget what is known of others."""
+        (new,) = (c for c in found.candidates if c.name == candidate.name)
+        assert isinstance(new, Effect)
         for known in (self._refits, self._scans, self._others, self._as_fitted, self._ringing):
             for key in [key for key in known if candidate.name in key]:
                 del known[key]
         self._refits[frozenset(found.names)] = found
-        centre = candidate.scales.centre(*candidate.variables)
-        kept = []
+        old, kept = candidate.scales, []
         for c in self.candidates:
             if c.name != candidate.name:
                 kept.append(c)
-            elif isinstance(c, Effect) and c.scales.centre(*c.variables) == centre:
-                kept.append(c.moved(by))
+            elif isinstance(c, Effect) and c.scales.centre(*c.variables) == old.centre(*c.variables):
+                kept.append(c.on(new.scales))
         self.candidates = kept
 
     def _likeliest(

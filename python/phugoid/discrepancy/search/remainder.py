@@ -147,6 +147,10 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
     return replace(found, rivals=rivals)
 
 
+# Places of what acts beside the inputs: in an equation of motion, as coloured noise or as white noise of its state.
+_EQUATIONS = ("equation", "state")
+
+
 def _acting(options: Sequence[_Option], s: RemainderSettings) -> _Option:
     """Return the likeliest option; in place of noise of a recorded input a disturbance of an equation that the data do
     not tell from it: what acts beside the inputs is common, and noise of an input's record shows in the record."""
@@ -156,7 +160,7 @@ def _acting(options: Sequence[_Option], s: RemainderSettings) -> _Option:
         return first
     alike = _rivals(first, options, s)
     others = [o for o in options if o.disturbance is not None and o.disturbance.name in alike]
-    return next((o for o in others if o.disturbance and o.disturbance.place.kind == "equation"), first)
+    return next((o for o in others if o.disturbance and o.disturbance.place.kind in _EQUATIONS), first)
 
 
 def _rivals(of: _Option, options: Sequence[_Option], s: RemainderSettings) -> dict[str, float]:
@@ -261,7 +265,10 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         return None
     gain = option.merit - coloured
     other = search.cache.on_validation(option.at)
-    if _share(search, option.at, d) < search.assessment.settings.minor:
+    # What the terms explain in free simulation is no disturbance.
+    by_terms = search.assessment.explained(search.cache.base, option.at) if option.at.candidates else None
+    left = 1.0 - by_terms.part if by_terms is not None else 1.0
+    if min(_share(search, option.at, d), left) < search.assessment.settings.minor:
         return None
     held_out = float("nan")
     if d.kind in ("noise", "event"):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...modelling.model import Model
 from ...residual_noise.whitening import Filter, Whitening
-from ..candidates.candidate import Candidate, is_function
+from ..candidates.candidate import Candidate, Effect, is_function
 from ..candidates.model_structure import ANGLES, ANGULAR_RATES
 from .refit import Refit, is_structured
 from .refit_cache import RefitCache
@@ -46,8 +46,10 @@ _MODEL_ERROR, _SIMILAR = 0.2, 0.8
 # Log-likelihood by which two refits differ that are one and the same but for rounding.
 _SAME = 1.0
 # A term that explains most of a misfit leaves an error of the model that is small beside it: others that explain this
-# part of what it does are as good.
-_MOST, _AS_MUCH = 0.5, 0.95
+# part of what it does are as good, unless they leave several times what it leaves, and more than a trifle.
+_MOST, _AS_MUCH, _LEAVES, _TRIFLE = 0.5, 0.95, 3.0, 0.01
+# Functions of one variable that are fitted in place of another one.
+_FUNCTIONS = 8
 
 
 def complexity(candidate: Candidate) -> int:
@@ -116,7 +118,8 @@ def is_as_good(best: Refit, other: Refit, gain: float, parts: tuple[float, float
         if before > 0.0 and after > 0.0:
             statistic += mine.size * worth[-1] * float(np.log(after / before))
     if max(worth) < _MODEL_ERROR and parts[0] > _MOST:
-        return parts[1] > _AS_MUCH * parts[0]
+        left = max(_LEAVES * (1.0 - parts[0]), _TRIFLE)
+        return parts[1] > _AS_MUCH * parts[0] and 1.0 - parts[1] < left
     return statistic < _EQUAL and gain > _SIMILAR
 
 
@@ -208,10 +211,15 @@ class Screen:
 
     def rivals(self, at: Refit, candidate: Candidate, filter: Filter, best: int, alike: int) -> list[Candidate]:
         """Candidates that may stand in a candidate's place beside those of ``at``: some of the best through a filter,
-        and some whose effect is nearly the same."""
+        and some whose effect is nearly the same; where the misfit is evident, other functions of the same variable."""
         scan = self._cache.scan(at)
         statistics = scan.through(filter)
-        return [*self._best(scan, statistics, best), *self._alike(scan, statistics, candidate)[:alike]]
+        found = [*self._best(scan, statistics, best), *self._alike(scan, statistics, candidate)[:alike]]
+        if isinstance(candidate, Effect) and is_function(candidate) and self._is_evident:
+            # What a large term does is not what it does to first order: functions of one variable part there.
+            (variable,) = candidate.variables
+            found += [c for c in self.functions(at, variable, filter, _FUNCTIONS) if c.place == candidate.place]
+        return list({c.name: c for c in found}.values())
 
     def alike(self, at: Refit, candidate: Candidate, filter: Filter) -> list[Candidate]:
         """Candidates whose effect on the outputs through a filter is nearly the same, the nearest first."""
@@ -256,25 +264,28 @@ class Screen:
     def _best(
         self, scan: Scan, statistics: Statistics, count: int, among: NDArray[np.bool_] | None = None
     ) -> list[Candidate]:
-        """Return the best candidates, one of each group that has the same effect on the outputs."""
+        """Return the best candidates, one of each group that has the same effect on the outputs, or two at different
+        places where the misfit is evident."""
         chosen: list[tuple[Candidate, _Array]] = []
+        groups = 0
         # Of two that act alike that with fewer unknowns comes first.
         margins = statistics.values - self._thresholds(scan)
         for i in np.argsort(-margins):
-            if margins[i] == -np.inf:
+            if margins[i] == -np.inf or groups == count:
                 break
             candidate, shape = scan.effects[i]
             if any(candidate.name == c.name for c, _ in chosen) or not (among is None or among[i]):
                 continue
             q = scan.basis(statistics, int(i))
-            if any(_cosine(q, other) > self.settings.same for _, other in chosen):
+            alike = [c for c, other in chosen if _cosine(q, other) > self.settings.same]
+            # What acts alike to first order at another place need not do so where it does much.
+            if alike and (len(alike) > 1 or not self._is_evident or alike[0].place == candidate.place):
                 continue
+            groups += not alike
             chosen.append((candidate, q))
             if candidate.unit_amplitude:
                 shape = scan.effects[_whole(scan, statistics, candidate)][1]
             self._cache.remember(candidate, shape, statistics.amplitudes[i])
-            if len(chosen) == count:
-                break
         return [c for c, _ in chosen]
 
     def _alike(self, scan: Scan, statistics: Statistics, candidate: Candidate) -> list[Candidate]:

@@ -42,7 +42,7 @@ impl Estimation<'_> {
         let local = |p: &&crate::model::Parameter| p.local && names.contains(&p.name.as_str());
         if let Some(p) = model.parameters.iter().find(local).filter(|_| self.experiments.len() > 1) {
             return Err(Error::model(format!(
-                "the delay '{}' is one for all experiments, not of each",
+                "the delay '{}' must be one parameter of all experiments, not one for each",
                 p.name
             ))
             .about(&p.name));
@@ -106,7 +106,7 @@ impl Estimation<'_> {
         if !on_the_way.is_empty() && fit.status == Status::Converged {
             let (hint, names) = (Status::IterationLimit.hint(), on_the_way.join(", "));
             (fit.status, fit.message) =
-                (Status::IterationLimit, format!("{hint} ({names} is still on the way)"));
+                (Status::IterationLimit, format!("{hint} ({names} has not converged)"));
         }
         for (record, experiment) in fit.records.iter_mut().zip(self.experiments) {
             restore(model, record, experiment, &base);

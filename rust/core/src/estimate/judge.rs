@@ -73,7 +73,7 @@ fn undetermined(names: &[String]) -> String {
     let list = names.join(", ");
     match names.len() {
         1 => format!("{list} has no influence on the outputs with these data: fix it, or give it a prior"),
-        _ => format!("{list} cannot be told apart with these data: fix one of them, or give it a prior"),
+        _ => format!("{list} cannot be distinguished with these data: fix one of them, or give it a prior"),
     }
 }
 

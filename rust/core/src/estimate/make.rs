@@ -152,7 +152,7 @@ fn assessed(
     let at_floor = |p: &&Estimate| p.bound == Some(Bound::Lower) && p.name.starts_with(SIGMA);
     for p in parameters[n_model..].iter().filter(at_floor) {
         warnings.push(format!(
-            "{} sits at its lower bound {:.3e}: the fit of this output is exact for all we know",
+            "{} sits at its lower bound {:.3e}: as far as this bound allows, this output is fitted exactly",
             p.name, p.value
         ));
     }
@@ -200,18 +200,18 @@ fn assessed(
 fn no_errors(problem: &dyn Transcribed, xi: &[f64], why: NoInformation, limit: &Interrupt) -> String {
     let why = match (limit.cause(), why) {
         (Some(Cause::Stopped), NoInformation::Stopped) => {
-            return "interrupted: there are no standard errors; an estimation that starts from this fit goes on from here"
+            return "interrupted: there are no standard errors; to continue, start an estimation from this fit"
                 .into();
         }
         (_, NoInformation::Stopped) => {
-            return "time limit: there are no standard errors; allow more time, or go on from this fit"
+            return "time limit: there are no standard errors; allow more time, or continue from this fit"
                 .into();
         }
         (_, NoInformation::NotFinite) => {
             problem.explain(xi).unwrap_or_else(|| "a derivative of the model is not finite".into())
         }
         (_, NoInformation::Singular(KktError::Dependent { row })) => {
-            format!("the {} depends on others", problem.constraint_name(row))
+            format!("the {} depends linearly on others", problem.constraint_name(row))
         }
         (_, other) => other.to_string(),
     };

@@ -78,7 +78,7 @@ use crate::solver::Settings;
 ///
 /// // Misspelt names are errors.
 /// let error = Estimation::new(&m, &[run("one", 1.0)?]).start("rat", 0.5).solve().unwrap_err();
-/// assert_eq!(error.to_string(), "start: 'rat' is no parameter, sigma or state. Did you mean 'rate'?");
+/// assert_eq!(error.to_string(), "start: 'rat' is not a parameter, sigma or state. Did you mean 'rate'?");
 /// # Ok::<(), phugoid::Error>(())
 /// ```
 #[derive(Clone, Debug)]
@@ -311,7 +311,7 @@ impl<'a> Estimation<'a> {
         self
     }
 
-    /// Whether a regression on the states as they start goes before the first step: where all of them are
+    /// Whether a regression on the initial paths of the states goes before the first step: where all of them are
     /// measured or given, unless said.
     pub fn regression(mut self, regression: bool) -> Self {
         self.regression = Some(regression);

@@ -118,7 +118,9 @@ fn check_joint(noise: &NoiseModel, outputs: &[&str], given: &Given<'_>) -> Resul
             let scale = noise.scales.first().map(|s| format!("{SIGMA}{}", s.0));
             let given = given.values.iter().find(|s| outputs.iter().any(|o| s.0 == format!("{SIGMA}{o}")));
             match scale.or_else(|| given.map(|s| s.0.clone())) {
-                Some(name) => fail(format!("the covariance is known, and {name} with it: leave that out")),
+                Some(name) => {
+                    fail(format!("the covariance is known, and it contains {name}: leave that out"))
+                }
                 None => Ok(()),
             }
         }

@@ -29,7 +29,7 @@ impl Way {
 
     fn description(self) -> &'static str {
         match self {
-            Way::Regression => "a regression on the states as they start",
+            Way::Regression => "a regression on the initial paths of the states",
             Way::ConsistentPaths => "steps along paths that satisfy the equations",
             Way::ExactHessian => "steps with the exact Hessian",
         }
@@ -65,7 +65,7 @@ impl Estimation<'_> {
             if better && (other.status.is_end() || !fit.status.is_end()) {
                 let why = if ended.is_end() { "matches no output well" } else { "has no optimum" };
                 other.message = format!(
-                    "{}; reached after {}, since the run from the start itself {why}",
+                    "{}; reached after {}, since the iterations from the start values {why}",
                     other.message,
                     way.description()
                 );

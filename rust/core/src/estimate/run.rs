@@ -219,7 +219,7 @@ impl Estimation<'_> {
     }
 
     /// The best of the solutions from several points: at an end if possible, and of the greatest likelihood. Where none of
-    /// them is at an end, a regression on the states as they start goes before each.
+    /// them is at an end, a regression on the initial paths of the states goes before each.
     fn best_of(
         &self,
         problem: &Problem,

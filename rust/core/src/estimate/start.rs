@@ -83,7 +83,7 @@ impl<'a> Given<'a> {
         match self.values.iter().find(|(name, _)| !known.contains(name)) {
             Some((name, _)) => {
                 let hint = did_you_mean(name, known.iter().map(String::as_str));
-                Err(Error::model(format!("start: '{name}' is no parameter, sigma or state.{hint}"))
+                Err(Error::model(format!("start: '{name}' is not a parameter, sigma or state.{hint}"))
                     .about(name))
             }
             None => Ok(()),

@@ -22,15 +22,24 @@ pub(crate) fn partials(op: Op, g: &mut Graph, a: &[Id], r: Id) -> Partials {
             // so that x may be negative under a constant whole exponent.
             let one = g.one();
             let lower = g.sub(a[1], one);
-            let power = g.pow(a[0], lower);
+            if g.as_constant(a[1]).is_some() {
+                let power = g.pow(a[0], lower);
+                return [Some(g.mul(a[1], power)), None, None];
+            }
+            // An exponent that is estimated, as in Hill's equation, of a state that begins at zero: x^y log(x) has the
+            // limit 0 there, and the slope of x^y, which is infinite for y < 1, is taken as that at 1. Derivatives of
+            // these expressions are finite at zero, too.
+            let size = g.unary(Op::Abs, a[0]);
+            let null = g.zero();
+            let vanishes = g.apply(Op::Le, &[size, null]);
+            let steep = g.apply(Op::Lt, &[a[1], one]);
+            let infinite = g.apply(Op::And, &[vanishes, steep]);
+            let base = g.select(infinite, one, a[0]);
+            let power = g.pow(base, lower);
             let dx = g.mul(a[1], power);
-            let dy = if g.as_constant(a[1]).is_some() {
-                None
-            } else {
-                let log = g.unary(Op::Log, a[0]);
-                Some(g.mul(r, log))
-            };
-            [Some(dx), dy, None]
+            let positive = g.select(vanishes, one, a[0]);
+            let log = g.unary(Op::Log, positive);
+            [Some(dx), Some(g.mul(r, log)), None]
         }
         Op::Neg => [Some(g.constant(-1.0)), None, None],
         Op::Recip => {

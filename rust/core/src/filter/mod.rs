@@ -264,12 +264,12 @@ impl Filter {
     /// Explains why there is no marginal likelihood, in the user's names.
     pub fn explain(&self, lost: Lost) -> String {
         match lost {
-            Lost::NotFinite => "an equation is not finite on the way to the most probable path".into(),
+            Lost::NotFinite => "an equation is not finite in the search for the most probable path".into(),
             Lost::First(state) => format!(
-                "the data do not determine the first value of state '{0}': give initial={{'{0}': (mean, std)}}",
+                "the data do not determine the initial value of state '{0}': give initial={{'{0}': (mean, std)}}",
                 self.state_names[state]
             ),
-            Lost::Curvature => "the most probable path is no proper maximum of its density".into(),
+            Lost::Curvature => "the most probable path is not a strict maximum of its density".into(),
             Lost::Stuck => "the most probable path was not found".into(),
             Lost::Stopped => "the search for the most probable path was stopped".into(),
         }

@@ -61,13 +61,13 @@ pub(super) struct Found {
 #[non_exhaustive]
 pub enum Lost {
     /// A function is not finite on the way.
-    #[error("a function is not finite on the way")]
+    #[error("a function is not finite in the search")]
     NotFinite,
     /// This first state is not determined by the data.
-    #[error("the data do not determine the first state number {0}")]
+    #[error("the data do not determine the initial state number {0}")]
     First(usize),
     /// The most probable path is no proper maximum.
-    #[error("the most probable path is no proper maximum")]
+    #[error("the most probable path is not a strict maximum of its density")]
     Curvature,
     /// No further progress, or too many iterations.
     #[error("the search for the most probable path made no further progress")]

@@ -21,13 +21,13 @@ impl Settings {
     pub(super) fn noisy(&self, states: &[String]) -> Result<Vec<usize>, Error> {
         let fail = |text: String| Err(Error::option(format!("FilterError: {text}")));
         if self.states.is_empty() {
-            return fail("states names no state; name those that process noise drives".into());
+            return fail("states is empty; name the states that process noise drives".into());
         }
         if self.substeps == 0 {
-            return fail("substeps is at least 1".into());
+            return fail("substeps must be at least 1".into());
         }
         if self.terms == 0 {
-            return fail("terms is at least 1".into());
+            return fail("terms must be at least 1".into());
         }
         for (name, count, most) in [("substeps", self.substeps, 10_000), ("terms", self.terms, 100)] {
             if count > most {
@@ -35,7 +35,7 @@ impl Settings {
             }
         }
         if self.initial.len() != states.len() {
-            return fail(format!("initial holds {} states, the model {}", self.initial.len(), states.len()));
+            return fail(format!("initial has {} states, the model {}", self.initial.len(), states.len()));
         }
         let mut found = Vec::new();
         for name in &self.states {

@@ -43,7 +43,7 @@ impl Model {
             for equation in equations {
                 if let Some(number) = not_finite(&equation.expr) {
                     let (name, place) = (&equation.name, equation.place());
-                    return fail(format!("{kind} {name}{prime}{place}: it holds the constant {number}"));
+                    return fail(format!("{kind} {name}{prime}{place}: it contains the constant {number}"));
                 }
                 for symbol in equation.expr.symbols() {
                     if !known.contains(&*symbol) {
@@ -108,7 +108,7 @@ impl Model {
             .collect();
         let start = format!("model '{}': the noise of output {output}", self.name);
         if let Some(number) = not_finite(expr) {
-            return Err(Error::model(format!("{start}: it holds the constant {number}")));
+            return Err(Error::model(format!("{start}: it contains the constant {number}")));
         }
         match expr.symbols().iter().find(|s| !known.contains(&&***s)) {
             Some(symbol) => {

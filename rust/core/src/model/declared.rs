@@ -31,11 +31,11 @@ impl Model {
         for (kind, name) in names {
             if !valid_name(name) {
                 return Some(format!(
-                    "{kind} '{name}': a name is a letter, then letters, digits and underscores"
+                    "{kind} '{name}': a name starts with a letter and contains only letters, digits and underscores"
                 ));
             }
             if !seen.insert(name) {
-                return Some(format!("{kind} '{name}': this name is taken already; give it another"));
+                return Some(format!("{kind} '{name}': this name is already in use; choose another"));
             }
         }
         let mut outputs = HashSet::new();
@@ -56,7 +56,7 @@ impl Model {
                 return Some(format!("equation of {name}'{place}: '{name}' is not a state.{}", hint(name)));
             }
             if self.dynamics[..k].iter().any(|other| other.name == *name) {
-                return Some(format!("equation of {name}'{place}: '{name}' has an equation already"));
+                return Some(format!("equation of {name}'{place}: '{name}' already has an equation"));
             }
         }
         for (k, c) in self.conditions.iter().enumerate() {
@@ -65,7 +65,7 @@ impl Model {
                 return Some(format!("condition of {name}: '{name}' is not a state.{}", hint(name)));
             }
             if self.conditions[..k].iter().any(|other| other.state == *name && other.end == c.end) {
-                return Some(format!("condition of {name}: it has such a condition already"));
+                return Some(format!("condition of {name}: it already has such a condition"));
             }
         }
         (self.conditions.len() > self.states.len()).then(|| {

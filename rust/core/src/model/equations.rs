@@ -85,7 +85,7 @@ impl WrittenAt<'_> {
         let place = place(source.as_deref());
         model.expect_state(state, &format!("state equation{place}"))?;
         if model.dynamics.iter().any(|e| e.name == state) {
-            return Err(Error::model(format!("state equation{place}: '{state}' has an equation already"))
+            return Err(Error::model(format!("state equation{place}: '{state}' already has an equation"))
                 .about(state));
         }
         model.dynamics.push(Equation { name: state.to_owned(), unit: String::new(), expr, source });
@@ -124,12 +124,12 @@ impl WrittenAt<'_> {
         let place = place(source.as_deref());
         model.expect_state(state, &format!("condition{place}"))?;
         if model.conditions.iter().any(|c| c.state == state && c.end == end) {
-            return Err(Error::model(format!("condition{place}: '{state}' has such a condition already"))
+            return Err(Error::model(format!("condition{place}: '{state}' already has such a condition"))
                 .about(state));
         }
         if model.conditions.len() == model.states.len() {
             return Err(Error::model(format!(
-                "condition{place}: {} states have {} conditions already; with more nothing is left to choose",
+                "condition{place}: {} states already have {} conditions; another would leave nothing to estimate",
                 model.states.len(),
                 model.conditions.len()
             )));

@@ -63,7 +63,9 @@ impl Variable {
     fn wrong(&self) -> Option<String> {
         let (low, high) = self.bounds();
         if low.is_nan() || high.is_nan() || low >= high || low == f64::INFINITY || high == f64::NEG_INFINITY {
-            return Some(format!("its bounds ({low}, {high}) are not a lower and a greater upper bound"));
+            return Some(format!(
+                "its bounds ({low}, {high}) are not a lower bound and a greater upper bound"
+            ));
         }
         let start = self.start?;
         if !start.is_finite() {
@@ -161,7 +163,7 @@ impl Model {
     fn claim(&self, kind: &str, name: &str) -> Result<(), Error> {
         if !valid_name(name) {
             return Err(Error::model(format!(
-                "{kind} '{name}': a name starts with a letter and holds letters, digits and underscores only"
+                "{kind} '{name}': a name starts with a letter and contains only letters, digits and underscores"
             ))
             .about(name));
         }

@@ -44,7 +44,7 @@ impl Scaling {
             own => format!(", or give {} a known initial value", own[..own.len().min(3)].join(" or ")),
         };
         format!(
-            "{} cannot be told apart with any data: the outputs stay the same with {} for every s > 0; {} was held at {}. \
+            "{} cannot be distinguished with any data: the outputs stay the same with {} for every s > 0; {} was held at {}. \
              To determine them {fix}{known}, or give one a prior",
             names.join(", "),
             scaled.join(", "),

@@ -72,7 +72,7 @@ impl Density {
                 if !(positive(*lower) && lower <= start && start <= upper && upper.is_finite()) =>
             {
                 fail(format!(
-                    "degrees of freedom start at {start}, not within positive bounds ({lower}, {upper})"
+                    "the start value {start} of the degrees of freedom does not lie within positive bounds ({lower}, {upper})"
                 ))
             }
             Density::Huber(k) if !positive(*k) => fail(format!("Huber's k is {k}; give a positive number")),

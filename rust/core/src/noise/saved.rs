@@ -186,7 +186,7 @@ impl SavedNoise {
         match kind.kind.as_str() {
             GAUSSIAN => Ok(said),
             PER_EXPERIMENT => {
-                let inner = kind.noise.as_ref().ok_or("noise: each experiment has its own of no kind")?;
+                let inner = kind.noise.as_ref().ok_or("noise: the noise of each experiment is missing")?;
                 Ok(inner.declared(outputs)?.per_experiment())
             }
             PER_OUTPUT => {

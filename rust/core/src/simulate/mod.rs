@@ -123,7 +123,9 @@ impl<'a> Simulation<'a> {
         model.check()?;
         if !(self.tolerance > 0.0 && self.tolerance < 1.0) {
             let tolerance = self.tolerance;
-            return Err(Error::option(format!("simulate: tolerance {tolerance}: a number between 0 and 1")));
+            return Err(Error::option(format!(
+                "simulate: tolerance {tolerance} is not a number between 0 and 1"
+            )));
         }
         let outputs: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
         run.check_shapes(&model.input_names(), &outputs)?;
@@ -155,7 +157,7 @@ impl<'a> Simulation<'a> {
             });
             if !names().any(|n| n == name) && !of_one && !name.starts_with(SIGMA) {
                 let hint = did_you_mean(name, names());
-                return Err(Error::model(format!("simulate: '{name}' is no parameter.{hint}")).about(name));
+                return Err(Error::model(format!("simulate: '{name}' is not a parameter.{hint}")).about(name));
             }
             if !value.is_finite() {
                 let text = format!("simulate: parameter '{name}' is {value}, not a finite number");
@@ -186,7 +188,7 @@ impl<'a> Simulation<'a> {
             if !names().any(|n| n == name) {
                 let hint = did_you_mean(name, names());
                 return Err(
-                    Error::model(format!("simulate: initial '{name}' is no state.{hint}")).about(name)
+                    Error::model(format!("simulate: initial '{name}' is not a state.{hint}")).about(name)
                 );
             }
             if !value.is_finite() {

@@ -17,9 +17,6 @@ use super::step::Step;
 use super::termination::{Ending, Sizes};
 use crate::nlp::NotFinite;
 
-/// An end that meets this instead of the tolerance is acceptable, again a distance in standard errors.
-const CLOSE: f64 = 1e-3;
-
 /// A run of Newton's method. Everything that the loop keeps is allocated once.
 pub(crate) struct Newton<'a> {
     pub(super) program: Program<'a>,
@@ -155,7 +152,9 @@ impl<'a> Newton<'a> {
                     return Ok(status.into());
                 }
                 let phase = settings.gauss_newton.then_some(&mut *exact);
-                if let Some(ending) = stuck(program, iterate, &mut factored, &promise, phase) {
+                // With standard deviations that are too large all that a step promises is small.
+                let settling = !was_exact && promise.is_small() && !iterate.update_noise(program, 1.0);
+                if !settling && let Some(ending) = stuck(program, iterate, &mut factored, &promise, phase) {
                     return Ok(ending);
                 }
             }
@@ -229,7 +228,7 @@ fn stuck(
     promise: &Promise,
     phase: Option<&mut bool>,
 ) -> Option<Ending> {
-    if promise.gain <= CLOSE.powi(2) + promise.floor {
+    if promise.is_small() {
         let regular = system.damping.shift() == 0.0;
         return Some(if regular { Status::Acceptable.into() } else { Ending::at_optimum(program, system) });
     }

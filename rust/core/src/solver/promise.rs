@@ -18,7 +18,15 @@ pub(super) struct Promise {
     pub floor: f64,
 }
 
+/// An end that meets this instead of the tolerance is acceptable, again a distance in standard errors.
+const CLOSE: f64 = 1e-3;
+
 impl Promise {
+    /// Whether no more than an acceptable end leaves is promised.
+    pub fn is_small(&self) -> bool {
+        self.gain <= CLOSE.powi(2) + self.floor
+    }
+
     pub fn of(program: &Program<'_>, iterate: &Iterate, step: &Step, active: &ActiveSet) -> Promise {
         let (c, xi) = (&iterate.point.c, &iterate.point.xi);
         let slope: f64 = iterate.gradient.iter().zip(&step.d).map(|(g, d)| g * d).sum();

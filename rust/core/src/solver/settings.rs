@@ -48,7 +48,10 @@ impl Settings {
     /// Names the option at fault.
     pub fn check(&self) -> Result<(), Error> {
         if !(self.tolerance > 0.0 && self.tolerance < 1.0) {
-            return Err(Error::option(format!("tolerance {}: a number between 0 and 1", self.tolerance)));
+            return Err(Error::option(format!(
+                "tolerance {} is not a number between 0 and 1",
+                self.tolerance
+            )));
         }
         Ok(())
     }

@@ -79,21 +79,21 @@ impl Status {
                  check the standard errors"
             }
             Status::Interrupted => {
-                "stopped by the user; this is the best point so far, and may be gone on from"
+                "stopped by the user; this is the best point so far, from which an estimation can continue"
             }
-            Status::IterationLimit => "not converged; allow more iterations, or go on from here",
-            Status::TimeLimit => "not converged; allow more time, or go on from here",
+            Status::IterationLimit => "not converged; allow more iterations, or continue from this point",
+            Status::TimeLimit => "not converged; allow more time, or continue from this point",
             Status::Infeasible => {
-                "no state path satisfies the equations near here; look at start values, bounds and units"
+                "no state path near this point satisfies the equations; check start values, bounds and units"
             }
             Status::Unidentifiable => {
                 "the data do not determine all parameters: fix some of those named, or give them priors"
             }
             Status::Diverging => {
-                "the unknowns grow without limit; a parameter may be without influence: bound or fix it"
+                "the unknowns grow without limit; a parameter may have no influence: bound or fix it"
             }
             Status::Failed => {
-                "the solver gave up; try other start values, bounds that keep functions finite, or another order"
+                "the solver made no further progress; try other start values, bounds that keep functions finite, or another order"
             }
         }
     }

@@ -45,7 +45,7 @@ impl Ending {
             }
             NoStep::Singular(KktError::Dependent { row }) => {
                 let name = program.nlp.constraint_name(row);
-                Ending::new(Status::Infeasible, format!("the {name} depends on others"))
+                Ending::new(Status::Infeasible, format!("the {name} depends linearly on others"))
             }
             NoStep::Singular(error @ KktError::Boundary) => {
                 Ending::new(Status::Infeasible, error.to_string())

@@ -135,7 +135,7 @@ impl<'a> Compiler<'a> {
                 && !self.emitted[id.index()]
                 && !self.slots.contains_key(&id)
             {
-                let text = format!("symbol '{name}' has no value: it is no state, input or parameter");
+                let text = format!("symbol '{name}' has no value: it is not a state, input or parameter");
                 return Err(Error::model(text));
             }
         }

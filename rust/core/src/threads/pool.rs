@@ -122,7 +122,7 @@ impl Drop for Pool {
 fn start(number: usize) -> Result<ThreadPool, Error> {
     if number > MOST {
         return Err(Error::option(format!(
-            "threads = {number}: at most {MOST}, and no more than cores are of use; 0 is one a core"
+            "threads = {number} is more than {MOST}; more threads than cores are of no use, and 0 takes one for each core"
         )));
     }
     let pool = ThreadPoolBuilder::new().num_threads(number).build();

@@ -280,7 +280,7 @@ fn parameters_that_cannot_be_told_apart_are_named() {
     let runs = [run(&model, "run", 0.3, 1)];
     let fit = Estimation::new(&model, &runs).solve().unwrap();
     assert!(
-        fit.warnings.iter().any(|w| w.starts_with("gain, other cannot be told apart")),
+        fit.warnings.iter().any(|w| w.starts_with("gain, other cannot be distinguished")),
         "{:?}",
         fit.warnings
     );

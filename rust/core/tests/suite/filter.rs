@@ -145,7 +145,7 @@ fn what_has_no_path_is_said() {
     let theta = [-1.0, 10.0, 0.1];
     let unseen = filter.evaluate(&theta, &filter.start(&[1.0, 4.0, 0.5, 4.0, 0.2, 4.0]), false).unwrap_err();
     assert_eq!(unseen, Lost::First(1));
-    assert!(filter.explain(unseen).contains("first value of state 'y'"));
+    assert!(filter.explain(unseen).contains("initial value of state 'y'"));
     let wrong = filter.evaluate(&theta, &filter.start(&[1.0, -4.0, 0.5, 4.0, 0.2, 4.0]), false);
     assert_eq!(wrong.unwrap_err(), Lost::NotFinite);
 
@@ -156,6 +156,6 @@ fn what_has_no_path_is_said() {
     };
     assert!(fails(&["X"], 1).contains("'X' is not a state. Did you mean 'x'?"));
     assert!(fails(&["x", "x"], 1).contains("named twice"));
-    assert!(fails(&[], 1).contains("names no state"));
+    assert!(fails(&[], 1).contains("states is empty"));
     assert!(fails(&["x"], 0).contains("substeps"));
 }

@@ -110,7 +110,7 @@ fn what_is_no_noise_is_refused() {
         (of().covariance(vec![1.0]), "a covariance of 2 outputs has 2² entries, not 1"),
         (of().covariance(vec![1.0, 2.0, 2.0, 1.0]), "not positive definite"),
         (of().correlated().noise("a", Sigma::Known(0.1)), "all standard deviations are known, or none"),
-        (of().start("corr_a_b", 0.1), "'corr_a_b' is no parameter"),
+        (of().start("corr_a_b", 0.1), "'corr_a_b' is not a parameter"),
         (of().correlated().start("corr_a_b", 2.0), "outside its bounds"),
     ] {
         let error = estimation.solve().unwrap_err().to_string();

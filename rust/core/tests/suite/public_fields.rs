@@ -56,9 +56,9 @@ fn parameters() {
 
 #[test]
 fn names_and_equations() {
-    refused(|m| m.parameters[0].name = "x".into(), "taken already");
+    refused(|m| m.parameters[0].name = "x".into(), "already in use");
     refused(|m| m.outputs.push(m.outputs[0].clone()), "declared twice");
-    refused(|m| m.dynamics.push(m.dynamics[0].clone()), "has an equation already");
+    refused(|m| m.dynamics.push(m.dynamics[0].clone()), "already has an equation");
     refused(
         |m| m.dynamics.push(phugoid::model::Equation { name: "z".into(), ..m.dynamics[0].clone() }),
         "not a state",

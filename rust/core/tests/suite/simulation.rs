@@ -143,9 +143,9 @@ fn what_cannot_be_simulated_is_named() {
     let run = Experiment::of_inputs(&model, "run", times(5, 1.0), [("u", vec![0.0; 5])]).unwrap();
     let with = |tau: f64| Simulation::new(&model, &run).parameter("tau", tau).parameter("b", 0.0);
     assert_error(Simulation::new(&model, &run), &["no value was given for tau, b"]);
-    assert_error(with(1.0).parameter("tauu", 1.0), &["'tauu' is no parameter", "Did you mean 'tau'"]);
+    assert_error(with(1.0).parameter("tauu", 1.0), &["'tauu' is not a parameter", "Did you mean 'tau'"]);
     assert_error(with(f64::NAN), &["'tau' is NaN"]);
-    assert_error(with(1.0).initial("z", 0.0), &["initial 'z' is no state"]);
+    assert_error(with(1.0).initial("z", 0.0), &["initial 'z' is not a state"]);
     assert_error(with(1.0).tolerance(0.0), &["tolerance 0"]);
     assert_error(with(0.0).initial("x", 1.0), &["x' is not finite", "'run'", "t = 0 s", "u = 0"]);
     // Finite until it is no more: x grows by e^100 a second.

@@ -1,0 +1,412 @@
+"""What a model may be missing at each of its places, by forms and effects that are known."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import combinations, combinations_with_replacement, permutations
+
+from ..._core import Expr
+from ...modelling.model import Model
+from ...sensitivities import Place
+from ..misfit.phrases import per_second
+from .candidate import Effect, unused
+from .channel_effects import (
+    ClippedSensor,
+    DeadBand,
+    EquationScale,
+    InputBias,
+    InputDelay,
+    InputLag,
+    InputScale,
+    Saturation,
+    SensorCurve,
+    SensorDelay,
+    SensorLag,
+    SensorScale,
+)
+from .hysteresis import FlexibleMode, Hysteresis, Stribeck
+from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
+from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable
+from .scales import Scales, output_key
+from .terms import FORMS, LaggedVariable, ParameterDrift, ParameterStep, Periodic, Rate, Ripple, Term, where
+
+__all__ = ["Catalogue", "Names", "stem"]
+
+# Coordinates of a mechanism, at most, whose rotation may act on each other: the terms are the cube of that many.
+_COORDINATES = 3
+# What can be wrong with a condition, which is measured and not commanded: nothing that an actuator does.
+_OF_CONDITIONS = ("scale", "bias", "delay")
+
+
+class Names:
+    """Names of new parameters: none twice, none of the model's."""
+
+    def __init__(self, model: Model) -> None:
+        self._taken = {*model.state_names, *model.parameter_names, *model.output_names, "time"}
+        self._taken |= {*model.quantity_names, *model.declared_inputs}
+
+    def __call__(self, wanted: str) -> str:
+        return unused(re.sub(r"\W+", "_", wanted).strip("_"), self._taken)
+
+
+def stem(place: Place) -> str:
+    """Beginning of the names of coefficients there."""
+    return {"equation": f"{place.name}_dot", "output": f"y_{place.name}"}.get(place.kind, place.name)
+
+
+class Catalogue:
+    """Makes the effects that a model may miss, with ``scales`` for a record and parameters called by ``names``."""
+
+    def __init__(self, structure: ModelStructure, scales: Scales, names: Names) -> None:
+        self.structure, self.scales, self.names = structure, scales, names
+
+    def all(self) -> Iterator[Effect]:
+        """Yield them, place by place."""
+        model = self.structure.model
+        for place in self.structure.places:
+            if place.kind == "output":
+                yield from self._in_output(place)
+            else:
+                yield from self._in_equation(place)
+        for variable in self.structure.variables:
+            if variable.kind == "input" and self.structure.used(variable.symbol):
+                acts = not model.is_condition(variable.symbol)
+                yield from (c for c in self._on_input(variable) if acts or c.family in _OF_CONDITIONS)
+        yield from self._of_the_medium()
+        yield from self._limits()
+        for name in self.structure.acting:
+            words, place = f"{name} changes during the record", Place("parameter", name)
+            yield ParameterDrift(
+                f"{name}:drift", place, words, "variation", self.scales, (self.names(f"drift_{name}"),)
+            )
+        for name in self.structure.acting:
+            words = f"{name} changes abruptly during the record (a load, a setting, a failure)"
+            place = Place("parameter", name)
+            shape = (self.names(f"time_of_step_{name}"),)
+            yield ParameterStep(f"{name}:step", place, words, "step", self.scales, (self.names(f"step_{name}"),), shape)
+
+    def _of_the_medium(self) -> Iterator[Effect]:
+        """Yield constants in the kinematics of positions: a wind or a current, which carries the vehicle along."""
+        model = self.structure.model
+        for name, e in self.structure.dynamics.items():
+            place = Place("equation", name)
+            if len({*e.symbols}) > 1 and model.units.get(name, "") in LENGTHS and place not in self.structure.places:
+                yield self._term(place, "bias")
+
+    def _term(self, place: Place, form: str, *factors: Variable) -> Term:
+        f, shown = FORMS[form], [v.shown for v in factors]
+        coefficient = self.names(f"{stem(place)}_{f.suffix.format(*shown)}")
+        name = f"{self.structure.shown(place)}:{f.what.format(*shown)}"
+        symbols = tuple(v.symbol for v in factors)
+        unit = self.structure.model.units.get(place.name, "") if place.kind == "output" else ""
+        if form == "drift" and unit:
+            unit = per_second(unit)
+        return Term(
+            name,
+            place,
+            "",
+            form.partition(",")[0],
+            self.scales,
+            (coefficient,),
+            variables=symbols,
+            form=form,
+            shown=tuple(shown),
+            unit=unit if form in ("bias", "drift") else "",
+            moving=len(factors) == 1 and (factors[0].speed or factors[0].rate),
+        )
+
+    def _of_inertia(self, place: Place) -> list[tuple[Variable, int]]:
+        """Return the states, with a power, that the inertia of a state equation may depend on: a position, whose rate
+        it gives, and what stores energy there itself, as the current in an inductor."""
+        if place.kind != "equation":
+            return []
+        own = [(v, 2) for v in self.structure.variables if v.kind == "state" and v.symbol == place.name]
+        return own + [(x, k) for x, v in self.structure.coordinates if v.symbol == place.name for k in (1, 2)]
+
+    def _in_equation(self, place: Place) -> Iterator[Effect]:
+        variables = self.structure.variables
+
+        term = partial(self._term, place)
+        yield term("bias")
+        words = f"{where(place)} is larger by a factor (another mass, inertia or gear ratio)"
+        scale = self.names(f"k_{stem(place)}")
+        yield EquationScale(f"{self.structure.shown(place)}:scale", place, words, "factor", self.scales, (scale,))
+        for v, power in self._of_inertia(place):
+            shown, suffix = (v.shown, v.shown) if power == 1 else (f"{v.shown}^{power}", f"{v.shown}{power}")
+            words = f"{where(place)} is larger by a factor that changes with {shown} (mass, inertia, inductance)"
+            name, scale = f"{self.structure.shown(place)}:scale*{shown}", self.names(f"k_{stem(place)}_{suffix}")
+            yield EquationScale(name, place, words, "factor", self.scales, (scale,), (), (v.symbol,), power=power)
+        for form in ("linear", "square", "cube", "quadratic"):
+            yield from (term(form, v) for v in self.structure.declared_in(place))
+        if place.kind == "quantity":
+            for form in ("linear", "square", "quadratic"):
+                yield from (term(form, v) for v in self.structure.declared_beside(place))
+        for form in ("linear", "square"):
+            yield from (term(form, v) for v in variables)
+        yield from (term("product", v, w) for v, w in combinations(variables, 2))
+        states = [v for v in variables if v.kind == "state"]
+        yield from (term("damping", v, w) for v, w in combinations(states, 2) if w.rate)
+        yield from (term("damping, rate first", v, w) for v, w in combinations(states, 2) if v.rate)
+        inputs = [v for v in variables if v.kind == "input"]
+        yield from (term("effectiveness", v, w) for v in states if not v.rate for w in inputs)
+        slow = [v for v in states if not v.rate]
+        yield from (
+            term("effectiveness", v, w) for v, w in permutations(slow, 2) if self.structure.interact(place, v, w)
+        )
+        yield from (term(form, *factors) for form, factors in self._of_rotation(place))
+        for form in ("cube", "quadratic", "absolute"):
+            yield from (term(form, v) for v in variables)
+        yield from (term("root", v) for v in variables if self.structure.is_store(v))
+        yield from (term("sign", v) for v in variables if v.speed or v.kind == "input")
+        shown, base, words = self.structure.shown(place), stem(place), where(place)
+        yield from (self._lagged(place, v) for v in variables)
+        yield from self._with_memory(place)
+        coefficients = self.names(f"{base}_sin"), self.names(f"{base}_cos")
+        yield Periodic(
+            f"{shown}:periodic",
+            place,
+            f"a periodic disturbance acts on {words}",
+            "periodic",
+            self.scales,
+            coefficients,
+            (self.names(f"{base}_frequency"),),
+        )
+
+    def _of_rotation(self, place: Place) -> Iterator[tuple[str, tuple[Variable, ...]]]:
+        """Yield the forms and factors of forces by the rotation of others: an equation of motion of one coordinate
+        holds positions times products of rates, not both its own (Lagrange's equations with a mass matrix that depends
+        on the position)."""
+        coordinates = self.structure.coordinates
+        own = next((v for _, v in coordinates if self.structure.force_on(v.symbol) == place), None)
+        if own is None or not 2 <= len(coordinates) <= _COORDINATES:
+            return
+        for x, _ in coordinates:
+            form = "rotation, angle" if self.structure.turns_freely(x.symbol) else "rotation"
+            for v, w in combinations_with_replacement([v for _, v in coordinates], 2):
+                if v is not w:
+                    yield f"{form}, two rates", (x, v, w)
+                elif v is not own:
+                    yield form, (x, v)
+
+    def _lagged(self, place: Place, variable: Variable) -> LaggedVariable:
+        shown, base = self.structure.shown(place), stem(place)
+        return LaggedVariable(
+            f"{shown}:lag_{variable.shown}",
+            place,
+            f"{where(place)} follows {variable.shown} with a lag (unsteady effect)",
+            "lag",
+            self.scales,
+            (self.names(f"{base}_lag_{variable.shown}"),),
+            (self.names(f"tau_{base}_{variable.shown}"),),
+            variables=(variable.symbol,),
+        )
+
+    def _with_memory(self, place: Place) -> Iterator[Effect]:
+        """Friction that is larger at rest, hysteresis of what moves, and a mode."""
+        shown, base, words = self.structure.shown(place), stem(place), where(place)
+        for v in self.structure.variables:
+            if v.kind == "state" and v.speed:
+                yield Stribeck(
+                    f"{shown}:stribeck_{v.shown}",
+                    place,
+                    f"{words} has dry friction that is larger where {v.shown} is small (Stribeck effect)",
+                    "stribeck",
+                    self.scales,
+                    (self.names(f"{base}_stribeck_{v.shown}"),),
+                    (self.names(f"speed_{base}_{v.shown}"),),
+                    variables=(v.symbol,),
+                    beside="" if self.structure.has_friction(place, v.symbol) else f"{shown}:sign({v.shown})",
+                )
+            moves = v.rate or self.structure.model.units.get(v.symbol, "").endswith("/s")
+            if v.kind == "state" and v.symbol in self.structure.dynamics and not moves:
+                yield Hysteresis(
+                    f"{shown}:hysteresis_{v.shown}",
+                    place,
+                    f"{words} depends on the reversals of {v.shown} (hysteresis, or dry friction that yields)",
+                    "hysteresis",
+                    self.scales,
+                    (self.names(f"{base}_hysteresis_{v.shown}"),),
+                    (self.names(f"yield_{base}_{v.shown}"), self.names(f"turn_{base}_{v.shown}")),
+                    variables=(v.symbol,),
+                )
+        for v in self.structure.variables:
+            if self.structure.is_position(v):
+                yield self._ripple(place, v, "cogging, ripple of a motor or a gear")
+        if any(
+            v.kind == "input" and v.symbol in self.structure.expression(place).symbols for v in self.structure.variables
+        ):
+            yield LimitedForce(
+                f"{shown}:saturation",
+                place,
+                f"{words} is limited in both directions (saturation of a current, force or traction)",
+                "saturation",
+                self.scales,
+                (),
+                (self.names(f"saturation_{base}"),),
+            )
+        yield FlexibleMode(
+            f"{shown}:mode",
+            place,
+            f"{words} excites a lightly damped mode that the model lacks",
+            "mode",
+            self.scales,
+            (self.names(f"{base}_mode"),),
+            (self.names(f"frequency_{base}_mode"), self.names(f"damping_{base}_mode")),
+        )
+
+    def _ripple(self, place: Place, variable: Variable, reason: str) -> Ripple:
+        shown, base = variable.shown, stem(place)
+        return Ripple(
+            f"{self.structure.shown(place)}:periodic_{shown}",
+            place,
+            f"{where(place)} is periodic in {shown} ({reason})",
+            "ripple",
+            self.scales,
+            (self.names(f"{base}_sin_{shown}"), self.names(f"{base}_cos_{shown}")),
+            (self.names(f"wave_number_{base}_{shown}"),),
+            variables=(variable.symbol,),
+            turn=TURN.get(self.structure.model.units.get(variable.symbol, ""), 0.0),
+        )
+
+    def _limits(self) -> Iterator[Effect]:
+        """States that go no further: positions meet a stop, stores are full."""
+        places = {place.name for place in self.structure.places if place.kind == "equation"}
+        units = self.structure.model.units
+        for v in self.structure.variables:
+            x = v.symbol
+            if v.kind != "state" or x not in self.structure.dynamics or v.rate or self.structure.turns_freely(x):
+                continue
+            e, limit = self.structure.dynamics[x], self.names(f"limit_of_{x}")
+            speed = next(
+                (w.symbol for w in self.structure.variables if w.kind == "state" and e == Expr.symbol(w.symbol)), ""
+            )
+            at = self.structure.force_on(speed) if speed else None
+            if at is not None:
+                words = f"{x} meets an end stop, which acts on {speed} like a stiff spring"
+                stiffness = self.names(f"stop_of_{x}")
+                shape = limit, self.names(f"loss_of_{x}")
+                yield EndStop(
+                    f"{x}:limit", at, words, "limit", self.scales, (stiffness,), shape, variables=(x,), speed=speed
+                )
+            elif x in places and units.get(x, "") not in ANGLES and not units.get(x, "").endswith("/s"):
+                words = f"{x} stops at a limit (overflow, a store that is full or empty)"
+                yield StateLimit(
+                    f"{x}:limit", Place("equation", x), words, "limit", self.scales, (), (limit,), variables=(x,)
+                )
+
+    def _in_output(self, place: Place) -> Iterator[Effect]:
+        shown, y = self.structure.shown(place), place.name
+        rates = [v for v in self.structure.variables if v.rate]
+
+        term = partial(self._term, place)
+        yield term("bias")
+        words = f"the measurement of {y} has a wrong scale factor"
+        yield SensorScale(f"{shown}:scale", place, words, "scale", self.scales, (self.names(f"k_{y}"),))
+        yield term("drift")
+        yield from (term("linear", v) for v in self.structure.variables)
+        yield from (term("square", v) for v in rates)
+        yield from (term("product", v, w) for v, w in combinations(rates, 2))
+        yield from (Rate.of(place, shown, v.symbol, self.names(f"y_{y}_{v.shown}_dot"), self.scales) for v in rates)
+        for power, degree in ((2, "square"), (3, "cube")):
+            if power == 3 or y not in {v.shown for v in rates}:  # of a rate there is its square already
+                words = (
+                    f"the measurement of {y} contains a term proportional to its {degree} (nonlinear characteristic)"
+                )
+                coefficients, key = (self.names(f"y_{y}_{y}{power}"),), (output_key(y),)
+                name = f"{shown}:{y}^{power}"
+                yield SensorCurve(name, place, words, "curve", self.scales, coefficients, variables=key, power=power)
+        # Where an input acts on an output at once, a part of it may act through dynamics that the model has not.
+        at_once = {*self.structure.expression(place).symbols}
+        inputs = [v for v in self.structure.variables if v.kind == "input" and v.symbol in at_once]
+        yield from (self._lagged(place, v) for v in inputs)
+        # There the output is more than what a sensor shows: a voltage over a resistance that depends on the charge.
+        states = [v for v in self.structure.variables if v.kind == "state" and not v.rate]
+        through = [v for v in inputs if self.structure.is_weighed(place, v)]
+        yield from (term("product", v, w) for v in states for w in through)
+        yield from (term("square", v) for v in [*through, *(x for x in states if x.symbol in at_once and through)])
+        for v in self.structure.variables:
+            if v.kind == "state" and self.structure.is_angle(v):
+                yield self._ripple(place, v, "an eccentric disc, wind against a heading")
+        words = f"the measurement of {y} is clipped at a limit"
+        yield ClippedSensor(
+            f"{shown}:clipped",
+            place,
+            words,
+            "clipped",
+            self.scales,
+            (),
+            (self.names(f"limit_{y}"),),
+            variables=(output_key(y),),
+        )
+        shows = [v for v in self.structure.variables if v.symbol in at_once]
+        if any(self.structure.is_position(v) or (shows == [v] and self.structure.is_angle(v)) for v in shows):
+            words = (
+                f"the sensor of {y} has backlash: after a reversal it stays until the motion exceeds twice the estimate"
+            )
+            key = (output_key(y),)
+            yield Backlash(
+                f"{shown}:backlash",
+                place,
+                words,
+                "backlash",
+                self.scales,
+                (),
+                (self.names(f"backlash_{y}"),),
+                variables=key,
+            )
+        words = f"the measurement of {y} follows with a lag (sensor or filter)"
+        yield SensorLag(f"{shown}:lag", place, words, "lag", self.scales, (), (self.names(f"lag_{y}"),))
+        if y not in self.structure.model.delays.outputs:
+            yield SensorDelay(
+                f"{shown}:delay",
+                place,
+                f"{y} is measured with a delay (negative: ahead of the other channels)",
+                "delay",
+                self.scales,
+                (),
+                (self.names(f"tau_{y}"),),
+            )
+
+    def _on_input(self, variable: Variable) -> Iterator[Effect]:
+        u, symbol = variable.shown, variable.symbol
+        place, variables = Place("input", symbol), (symbol,)
+        yield InputScale(
+            f"{u}:scale",
+            place,
+            f"{u} acts with another scale factor",
+            "scale",
+            self.scales,
+            (self.names(f"k_{u}"),),
+            variables=variables,
+        )
+        yield InputBias(
+            f"{u}:bias",
+            place,
+            f"{u} acts with an offset",
+            "bias",
+            self.scales,
+            (self.names(f"b_{u}"),),
+            variables=variables,
+        )
+        shaped: list[tuple[Callable[..., Effect], str, str, str]] = [
+            (DeadBand, "deadband", f"deadband_{u}", f"small deflections of {u} have no effect (dead-band)"),
+            (Saturation, "saturation", f"saturation_{u}", f"large deflections of {u} are cut off (saturation)"),
+            (
+                Backlash,
+                "backlash",
+                f"backlash_{u}",
+                f"{u} has backlash: after a reversal it has no effect until its motion exceeds twice the estimate",
+            ),
+            (RateLimit, "rate_limit", f"rate_limit_{u}", f"the rate of {u} is limited"),
+            (InputLag, "lag", f"lag_{u}", f"{u} acts with a lag (first-order actuator)"),
+        ]
+        if symbol not in self.structure.model.delays.inputs:
+            shaped.append(
+                (InputDelay, "delay", f"tau_{u}", f"{u} acts with a transport delay (negative: its record is delayed)")
+            )
+        for make, family, parameter, words in shaped:
+            yield make(
+                f"{u}:{family}", place, words, family, self.scales, (), (self.names(parameter),), variables=variables
+            )

@@ -12,7 +12,7 @@ import pytest
 from cli_case import MODEL, run
 
 import phugoid as ph
-from phugoid.cli.fit import _code
+from phugoid.cli.commands import _code
 from phugoid.cli.model_file import load_model
 
 

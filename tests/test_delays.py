@@ -207,17 +207,22 @@ def test_channels_that_do_not_overlap_are_refused() -> None:
         ph.multirate({"u": (t, t)}, {})
 
 
-def test_a_delay_still_on_its_way_is_neither_at_a_bound_nor_converged() -> None:
+def late(start: float, most: float, t: np.ndarray, tau: float) -> tuple[ph.Model, ph.Experiment]:
+    """A lag behind a delay that starts at `start` and is at most `most`, and its record with the delay `tau`, in s."""
     m = ph.Model("late")
     (x,) = m.states("x")
     (u,) = m.inputs("u")
-    a, tau = m.parameters(a=-1.0, tau=ph.Parameter(0.0, bounds=(0, 3), unit="s"))
-    m.dynamics(x=a * x + m.delay(u, tau))
+    a, by = m.parameters(a=-1.0, tau=ph.Parameter(start, bounds=(0, most), unit="s"))
+    m.dynamics(x=a * x + m.delay(u, by))
     m.outputs(x=x)
-    t = np.arange(0.0, 20.0, 0.01)
     run = ph.Experiment(t, {"u": np.sin(0.3 * t) + np.sin(0.9 * t)}, name="run")
-    path = ph.simulate(m, {"a": -2.0, "tau": 2.0}, run, initial={"x": 0.0})
-    run = run.with_outputs({"x": path.outputs["x"] + 0.01 * np.random.default_rng(0).standard_normal(t.size)})
+    path = ph.simulate(m, {"a": -2.0, "tau": tau}, run, initial={"x": 0.0})
+    noise = 0.01 * np.random.default_rng(0).standard_normal(t.size)
+    return m, run.with_outputs({"x": path.outputs["x"] + noise})
+
+
+def test_a_delay_still_on_its_way_is_neither_at_a_bound_nor_converged() -> None:
+    m, run = late(0.0, 3, np.arange(0.0, 20.0, 0.01), tau=2.0)
     fit = ph.estimate(m, run)  # 2 s are far at steps of two samples
     assert 0.0 < fit.parameters["tau"].value < 2.9
     assert fit.parameters["tau"].bounds_active is None
@@ -229,18 +234,7 @@ def test_a_delay_still_on_its_way_is_neither_at_a_bound_nor_converged() -> None:
 
 
 def test_a_delay_at_its_own_bound_says_so() -> None:
-    m = ph.Model("late")
-    (x,) = m.states("x")
-    (u,) = m.inputs("u")
-    a, tau = m.parameters(a=-1.0, tau=ph.Parameter(0.05, bounds=(0, 0.1), unit="s"))
-    m.dynamics(x=a * x + m.delay(u, tau))
-    m.outputs(x=x)
-    t = np.arange(0.0, 10.0, 0.05)
-    run = ph.Experiment(t, {"u": np.sin(0.3 * t) + np.sin(0.9 * t)}, name="run")
-    path = ph.simulate(m, {"a": -2.0, "tau": 0.2}, run, initial={"x": 0.0})
-    fit = ph.estimate(
-        m, run.with_outputs({"x": path.outputs["x"] + 0.01 * np.random.default_rng(0).standard_normal(200)})
-    )
+    fit = ph.estimate(*late(0.05, 0.1, np.arange(0.0, 10.0, 0.05), tau=0.2))
     assert fit.converged
     assert fit.parameters["tau"].bounds_active == "upper"
     assert fit.parameters["tau"].value == pytest.approx(0.1, abs=1e-6)

@@ -68,22 +68,14 @@ def test_inputs_run_as_a_cubic_where_the_experiment_says_so() -> None:
     np.testing.assert_allclose(r.outputs["y"], t**4 / 4, rtol=1e-9)
 
 
-def test_time_enters() -> None:
+@pytest.mark.parametrize("begin", [0.0, -7.0])
+def test_time_enters_and_need_not_start_at_zero(begin: float) -> None:
     m = Model("clock")
     (x,) = m.states("x")
     m.dynamics(x=ph.cos(m.time))
     m.outputs(x=x)
-    r = ph.simulate(m, {}, Experiment(T))
-    np.testing.assert_allclose(r.outputs["x"], np.sin(T), rtol=0, atol=1e-9)
-
-
-def test_time_need_not_start_at_zero() -> None:
-    m = Model("clock")
-    (x,) = m.states("x")
-    m.dynamics(x=ph.cos(m.time))
-    m.outputs(x=x)
-    t = T - 7.0
-    r = ph.simulate(m, {}, Experiment(t), initial={"x": math.sin(-7.0)})
+    t = T + begin
+    r = ph.simulate(m, {}, Experiment(t), initial={"x": math.sin(begin)})
     np.testing.assert_allclose(r.outputs["x"], np.sin(t), rtol=0, atol=1e-9)
 
 

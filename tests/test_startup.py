@@ -73,7 +73,11 @@ def test_types_are_those_of_the_names() -> None:
         node.body for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
     )
     imports: dict[str, Any] = {
-        alias.name: node.module for node in checked if isinstance(node, ast.ImportFrom) for alias in node.names
+        name: node.module
+        for node in checked
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+        for name in (ph.functions.__all__ if alias.name == "*" else [alias.name])
     }
     namespaces = {name for name, module in imports.items() if module is None}
     assert {name: module for name, module in imports.items() if module} == ph._MODULES

@@ -44,33 +44,7 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES; a name imported `as
     from .export import export_c as export_c
     from .export.fmu import export_fmu as export_fmu
     from .filter_error import FilterError as FilterError
-    from .functions import Table as Table
-    from .functions import acos as acos
-    from .functions import asin as asin
-    from .functions import atan as atan
-    from .functions import atan2 as atan2
-    from .functions import cos as cos
-    from .functions import cosh as cosh
-    from .functions import exp as exp
-    from .functions import expm1 as expm1
-    from .functions import from_sympy as from_sympy
-    from .functions import hypot as hypot
-    from .functions import log as log
-    from .functions import log1p as log1p
-    from .functions import maximum as maximum
-    from .functions import minimum as minimum
-    from .functions import sign as sign
-    from .functions import sin as sin
-    from .functions import sinh as sinh
-    from .functions import smooth_abs as smooth_abs
-    from .functions import smooth_max as smooth_max
-    from .functions import smooth_min as smooth_min
-    from .functions import smooth_sign as smooth_sign
-    from .functions import smooth_step as smooth_step
-    from .functions import sqrt as sqrt
-    from .functions import tan as tan
-    from .functions import tanh as tanh
-    from .functions import where as where
+    from .functions import *  # noqa: F403
     from .goodness_of_fit import Tolerance as Tolerance
     from .goodness_of_fit import match as match
     from .many_starts.multistart import multistart as multistart
@@ -91,7 +65,7 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES; a name imported `as
     from .regression.least_squares import FourierSmoothing as FourierSmoothing
     from .regression.least_squares import SavitzkyGolay as SavitzkyGolay
     from .regression.least_squares import SmoothingSpline as SmoothingSpline
-    from .regression.selected_terms import TermSelection as TermSelection
+    from .regression.term_selection import TermSelection as TermSelection
     from .regression.term_selection import monomials as monomials
     from .result import Fit as Fit
     from .simulation import simulate as simulate
@@ -129,8 +103,7 @@ _PLACES = {
     "reconstruction": "reconstruct",
     "regression.equation_error": "equation_error",
     "regression.least_squares": "FourierSmoothing SavitzkyGolay SmoothingSpline",
-    "regression.selected_terms": "TermSelection",
-    "regression.term_selection": "monomials",
+    "regression.term_selection": "TermSelection monomials",
     "result": "Fit",
     "simulation": "simulate",
     "solvers.ipopt": "Ipopt",

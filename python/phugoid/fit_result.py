@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from .data.experiment import Experiment
-from .data.interpolation import kinds_for
+from .data.filtering import kinds_for
 from .errors import ByName, DataError
 from .filter_error import FilterError
 from .modelling.densities import PerExperiment

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from .data.experiment import Experiment
-from .data.interpolation import kind_of
+from .data.filtering import kind_of
 from .errors import DataError
 from .figures import labelled
 from .records import Record

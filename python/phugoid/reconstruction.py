@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .api import estimate
 from .data.experiment import Experiment, as_experiments
-from .data.interpolation import kinds_for
+from .data.filtering import kinds_for
 from .errors import ModelError, OptionError, PhugoidError
 from .fit_result import ENDED_WELL
 from .modelling.compiled import CompiledExpressions

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .data.experiment import Experiment
-from .data.interpolation import Interpolations, kinds_for
+from .data.filtering import Interpolations, kinds_for
 from .errors import ByName, DataError, joined
 from .modelling.model import Model
 from .notebook import channels_table, notebook_page
@@ -33,10 +33,6 @@ _GROUPS = {
     **dict.fromkeys(("states", "mesh_states", "state_std", "predicted_states"), "state"),
     "measured": "measured output",
 }
-
-
-def _no_times() -> _Array:
-    return np.empty(0)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -75,7 +71,7 @@ class Record:
     states: Mapping[str, _Array]
     measured: Mapping[str, _Array] = field(default_factory=dict)
     residuals: Mapping[str, _Array] = field(default_factory=dict)
-    mesh_t: _Array = field(default_factory=_no_times)
+    mesh_t: _Array = field(default_factory=lambda: np.empty(0))
     mesh_states: Mapping[str, _Array] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     interpolation: Interpolations = "linear"

@@ -41,12 +41,8 @@ def remarks(fit: FitResult) -> list[str]:
     determined, estimates at a bound.
     """
     weak = [f"Weakly identified: {direction}." for direction in correlation(fit).weak]
-    return [*map(_sentence, fit.warnings), *_of_residuals(fit), *_of_estimates(fit), *_of_pairs(fit), *weak]
-
-
-def _sentence(text: str) -> str:
-    """Return a text as a sentence; names at the beginning keep their case."""
-    return text if text.endswith((".", "!", "?")) else f"{text}."
+    warnings = [text if text.endswith((".", "!", "?")) else f"{text}." for text in fit.warnings]
+    return [*warnings, *_of_residuals(fit), *_of_estimates(fit), *_of_pairs(fit), *weak]
 
 
 def _of_residuals(fit: FitResult) -> list[str]:

@@ -20,7 +20,7 @@ from .petab.problem import PetabProblem
 from .reconstruction import Reconstruction, VanePlaces
 from .records import Record
 from .regression.equation_error import EquationError
-from .regression.selected_terms import SelectedTerms, SelectionStep
+from .regression.term_selection import SelectedTerms, SelectionStep
 from .sensitivities import Place, Points
 from .simulation import IntegrationError
 from .solvers import Iteration

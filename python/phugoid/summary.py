@@ -32,7 +32,7 @@ def fit_summary(fit: FitResult) -> str:
         parts.append("std error: Cramér-Rao, for white residuals; coloured: corrected for residual autocorrelation")
     parts += correlation(fit).notes
     if any(record.residuals for record in fit.records):
-        parts.append(_match_table(fit, outputs))
+        parts.append(text_table(*_match_rows(fit, outputs), _MATCH))
     parts += (each.summary() for each in (fit.refinement, fit.smoothing) if each)
     parts += (f"Warning: {w}" for w in fit.warnings)
     return "\n\n".join(parts)
@@ -100,10 +100,6 @@ def _entries(fit: FitResult) -> dict[str, str]:
     if fit.noise.description:
         entries["noise"] = fit.noise.description
     return entries
-
-
-def _match_table(fit: FitResult, outputs: list[str]) -> str:
-    return text_table(*_match_rows(fit, outputs), _MATCH)
 
 
 _MATCH = "lrrlrr"

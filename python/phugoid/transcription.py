@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
@@ -21,7 +22,6 @@ __all__ = [
     "SingleShooting",
     "Transcription",
     "from_dict",
-    "step_spec",
     "to_dict",
 ]
 
@@ -191,8 +191,61 @@ def _checked_ends(what: str, ends: Any, wrong: OptionError) -> tuple[float, ...]
 _INTEGRATORS = ("euler", "heun", "kutta", "rk4", "dopri5")
 
 
+class _Shooting:
+    """The options of shooting that say how a segment is integrated, and the nonlinear program."""
+
+    integrator: str
+    substeps: int
+    step: float | None
+    steps: int | None
+    threads: int
+
+    def __post_init__(self) -> None:
+        what = type(self).__name__
+        if self.integrator not in _INTEGRATORS:
+            raise OptionError(f"{what}: integrator is one of {', '.join(_INTEGRATORS)}, not {self.integrator!r}")
+        for name in ("substeps", "threads", "steps"):
+            value, least = getattr(self, name), 0 if name == "threads" else 1
+            if name == "steps" and value is None:
+                continue
+            object.__setattr__(self, name, whole(f"{what}: {name}", value, least))
+            limit(what, name, value)
+        if self.step is not None:
+            object.__setattr__(self, "step", positive(f"{what}: step", self.step, "seconds"))
+        if (self.substeps != 1) + (self.step is not None) + (self.steps is not None) > 1:
+            raise OptionError(f"{what}: substeps, step and steps are three ways to say the same; give one")
+
+    @abstractmethod
+    def grids(self, experiments: Sequence[Experiment]) -> list[GridSpec]:
+        """Return the division into segments as the core takes it: one for all, or one for each experiment.
+
+        Raises OptionError for segment ends that do not fit the experiments.
+        """
+
+    def problem(self, model: Model, experiments: Sequence[Experiment], noise: _core.Noise) -> _core.Shooting:
+        """Return the nonlinear program."""
+        records, grids = records_of(model, experiments), self.grids(experiments)
+        return _core.Shooting(model._core, records, noise, grids, self.integrator, self.step_spec, self.threads)
+
+    @property
+    def step_spec(self) -> tuple[str, float]:
+        """The steps as the core takes them."""
+        if self.steps is not None:
+            return "number", self.steps
+        return ("samples", self.substeps) if self.step is None else ("length", self.step)
+
+    def _steps_in_words(self) -> str:
+        if self.steps is not None:
+            return f"{self.steps} steps of {self.integrator} in a segment"
+        if self.step is not None:
+            return f"steps of {self.integrator} of {self.step:g} s at most"
+        if self.substeps == 1:
+            return f"one step of {self.integrator} between samples"
+        return f"{self.substeps} steps of {self.integrator} between samples"
+
+
 @dataclass(frozen=True)
-class SingleShooting:
+class SingleShooting(_Shooting):
     """Simulation from the first sample to the last (Eq. oem_ivp of the paper): unknowns are parameters and the
     initial states alone.
 
@@ -213,23 +266,16 @@ class SingleShooting:
     steps: int | None = None
     threads: int = 0
 
-    def __post_init__(self) -> None:
-        _check(self)
-
     def grids(self, experiments: Sequence[Experiment]) -> list[GridSpec]:
         """Return the division into segments as the core takes it."""
         return [("uniform", 1, None)]
 
-    def problem(self, model: Model, experiments: Sequence[Experiment], noise: _core.Noise) -> _core.Shooting:
-        """Return the nonlinear program."""
-        return _problem(self, model, experiments, noise)
-
     def __str__(self) -> str:
-        return f"single shooting, {_steps_in_words(self)}"
+        return f"single shooting, {self._steps_in_words()}"
 
 
 @dataclass(frozen=True)
-class MultipleShooting:
+class MultipleShooting(_Shooting):
     """Simulation segment by segment (Eq. oem_ms of the paper): the states where segments start are unknowns too, and
     each segment ends where the next one starts.
 
@@ -245,74 +291,21 @@ class MultipleShooting:
     threads: int = 0
 
     def __post_init__(self) -> None:
-        _check(self)
+        super().__post_init__()
         if self.segments is None:
             raise OptionError("MultipleShooting: segments is a number, or the times of segment ends, not None")
         object.__setattr__(self, "segments", checked_segments("MultipleShooting", self.segments))
 
     def grids(self, experiments: Sequence[Experiment]) -> list[GridSpec]:
-        """Return the division into segments as the core takes it: one for all, or one for each experiment.
-
-        Raises OptionError for segment ends that do not fit the experiments.
-        """
+        """Return the division into segments as the core takes it; raise OptionError for ends that do not fit."""
         return division("MultipleShooting", self.segments, experiments)
-
-    def problem(self, model: Model, experiments: Sequence[Experiment], noise: _core.Noise) -> _core.Shooting:
-        """Return the nonlinear program."""
-        return _problem(self, model, experiments, noise)
 
     def __str__(self) -> str:
         grid = f"{self.segments} equal segments" if isinstance(self.segments, int) else "given segments"
-        return f"multiple shooting, {grid}, {_steps_in_words(self)}"
+        return f"multiple shooting, {grid}, {self._steps_in_words()}"
 
 
 Transcription: TypeAlias = Collocation | MultipleShooting | SingleShooting
-_Shooting: TypeAlias = MultipleShooting | SingleShooting
-
-
-def _check(options: _Shooting) -> None:
-    what = type(options).__name__
-    if options.integrator not in _INTEGRATORS:
-        raise OptionError(f"{what}: integrator is one of {', '.join(_INTEGRATORS)}, not {options.integrator!r}")
-    for name in ("substeps", "threads", "steps"):
-        value, least = getattr(options, name), 0 if name == "threads" else 1
-        if name == "steps" and value is None:
-            continue
-        object.__setattr__(options, name, whole(f"{what}: {name}", value, least))
-        limit(what, name, value)
-    step = options.step
-    if step is not None:
-        object.__setattr__(options, "step", positive(f"{what}: step", step, "seconds"))
-    if (options.substeps != 1) + (step is not None) + (options.steps is not None) > 1:
-        raise OptionError(f"{what}: substeps, step and steps are three ways to say the same; give one")
-
-
-def _problem(
-    options: _Shooting,
-    model: Model,
-    experiments: Sequence[Experiment],
-    noise: _core.Noise,
-) -> _core.Shooting:
-    records = records_of(model, experiments)
-    grids = options.grids(experiments)
-    return _core.Shooting(model._core, records, noise, grids, options.integrator, step_spec(options), options.threads)
-
-
-def step_spec(options: _Shooting) -> tuple[str, float]:
-    """Return the steps as the core takes them."""
-    if options.steps is not None:
-        return "number", options.steps
-    return ("samples", options.substeps) if options.step is None else ("length", options.step)
-
-
-def _steps_in_words(options: _Shooting) -> str:
-    if options.steps is not None:
-        return f"{options.steps} steps of {options.integrator} in a segment"
-    if options.step is not None:
-        return f"steps of {options.integrator} of {options.step:g} s at most"
-    if options.substeps == 1:
-        return f"one step of {options.integrator} between samples"
-    return f"{options.substeps} steps of {options.integrator} between samples"
 
 
 def to_dict(transcription: Transcription) -> dict[str, Any]:

@@ -20,17 +20,17 @@ __all__ = [
 # Command -> its module, and the line on it in the list. Modules are imported for the command that is run, since all of
 # them take half a second.
 COMMANDS = {
-    "fit": ("fit", "Estimate the parameters of a model from one data file or several."),
+    "fit": ("commands", "Estimate the parameters of a model from one data file or several."),
     "diagnose": (
-        "fit",
+        "commands",
         "Name the cause of a model's misfit, among some 250 candidates, and the gain of the extended model.",
     ),
     "simulate": (
-        "simulate",
+        "commands",
         "Simulate a model over the inputs of a data file: a CSV of time, inputs, outputs and states.",
     ),
     "validate": (
-        "fit",
+        "commands",
         "Validate a fitted model on other records: only initial states and sensor biases are re-estimated.",
     ),
     "petab": ("petab", "Estimate a problem in the PEtab format from many starts, beside its nominal point."),

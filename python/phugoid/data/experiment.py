@@ -19,8 +19,7 @@ from ..notebook import bullets, channels_table, notebook_page
 from ..tabular import experiment_dataset, experiment_frame
 from . import checked
 from .checked import FloatArray, checked_gaps, gap_intervals, pieces
-from .filtering import Columns, Signal
-from .interpolation import Interpolation, Interpolations, checked_kinds, interpolated, kind_of
+from .filtering import Columns, Interpolation, Interpolations, Signal, checked_kinds, kind_of
 from .preprocess import Preprocessing
 
 if TYPE_CHECKING:
@@ -77,7 +76,7 @@ class Experiment(Preprocessing):
         self._channels = checked.columns(self._name, "channel", channels, self._t)
         self._units = checked.units(self._name, units, [*self._inputs, *self._outputs, *self._channels])
         self._interpolation = checked_kinds(self._name, interpolation, [*self._inputs, *self._channels])
-        self._signals: dict[str, Signal] = {}
+        self._signals = {}
         self._mesh_times: FloatArray | None = None
         self._history: tuple[str, ...] = ()
         self._left_out: Mapping[str, str] = {}  # of the file: name -> why it is no channel
@@ -167,17 +166,15 @@ class Experiment(Preprocessing):
 
     def __repr__(self) -> str:
         parts = [f"{self.n} samples", f"{self._t[0]:g} to {self._t[-1]:g} s"]
-        groups = {"inputs": self._inputs, "outputs": self._outputs, "channels": self._channels}
-        parts += [f"{kind}: {' '.join(group)}" for kind, group in groups.items() if group]
+        parts += [f"{kind}s: {' '.join(group)}" for kind, group in self._columns_of().items() if group]
         missing = sum(int(np.isnan(values).sum()) for values in self._outputs.values())
         return f"Experiment('{self._name}', {', '.join(parts)}{f' ({missing} missing)' if missing else ''})"
 
     def _repr_html_(self) -> str:
         groups = {"input": self._inputs, "output": self._outputs, "": self._channels}
+        found = channels_table(groups, self._units, self._t)
         note = f"{self.n} samples, {self._t[0]:g} to {self._t[-1]:g} s"
-        return notebook_page(
-            self._name, channels_table(groups, self._units, self._t), bullets(self._history), note=note
-        )
+        return notebook_page(self._name, found, bullets(self._history), note=note)
 
     def input(self, name: str) -> FloatArray:
         """Return the input channel ``name``, shape (N,); raise DataError where there is none."""
@@ -226,12 +223,8 @@ class Experiment(Preprocessing):
                 f"experiment '{self._name}': the window {t0:g} to {t1:g} s holds {int(kept.sum())} samples; "
                 f"the record runs from {self._t[0]:g} to {self._t[-1]:g} s"
             )
-
-        def cut(group: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-            return {key: values[kept] for key, values in group.items()}
-
         t = self._t[kept]
-        columns = {kind: cut(group) for kind, group in self._columns_of().items()}
+        columns = {kind: {n: z[kept] for n, z in group.items()} for kind, group in self._columns_of().items()}
         step = f"window {t[0]:g} to {t[-1]:g} s" if t.size < self.n else ""
         return self._made(step, columns, name, t=t)
 
@@ -390,7 +383,7 @@ class Experiment(Preprocessing):
     ) -> Experiment:
         """Return the record made of this one by a step, "" for none, with what is given in place of what it has; with
         ``mesh``, a mesh follows the same times as in this one."""
-        groups: dict[str, Mapping[str, ArrayLike]] = {**self._columns_of(), **(columns or {})}
+        groups = {**self._columns_of(), **(columns or {})}
         made = Experiment(
             self._t if t is None else t,
             groups["input"],
@@ -412,21 +405,6 @@ class Experiment(Preprocessing):
     def _units_of(self, *groups: Collection[str]) -> dict[str, str]:
         """Return the units of the channels that a record made of this one has."""
         return {name: unit for name, unit in self._units.items() if any(name in group for group in groups)}
-
-    def _times(self) -> tuple[str, FloatArray]:
-        return self._name, self._t
-
-    def _columns_of(self) -> Columns:
-        return {"input": self._inputs, "output": self._outputs, "channel": self._channels}
-
-    def _signals_of(self) -> Mapping[str, Signal]:
-        return self._signals
-
-    def _between(self, name: str, signal: Signal) -> FloatArray:
-        return interpolated(self.interpolation_of(name), signal[0], signal[1], self._t)
-
-    def _is_held(self, name: str) -> bool:
-        return self.interpolation_of(name) == "hold"
 
     def _stepped(
         self,
@@ -513,7 +491,7 @@ def completed(experiments: Sequence[Experiment], outputs: Sequence[str]) -> list
         absent = [n for n in outputs if n not in own and n in anywhere]
         if absent and not own.isdisjoint(outputs):
             e = copy.copy(e)
-            object.__setattr__(e, "_outputs", {**e._outputs, **{n: np.full(e.n, np.nan) for n in absent}})
-            object.__setattr__(e, "_unmeasured", e._unmeasured | set(absent))
+            e._outputs = {**e._outputs, **{n: np.full(e.n, np.nan) for n in absent}}
+            e._unmeasured |= set(absent)
         found.append(e)
     return found

@@ -1,34 +1,43 @@
-"""Digital filters on evenly sampled channels, and on each channel of a record, with scipy.signal."""
+"""Signals: how they behave between samples, and digital filters for evenly sampled ones, with scipy.signal."""
 
 from __future__ import annotations
 
 import math
-import warnings
-from abc import abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Literal, TypeAlias, TypeVar
+from collections.abc import Iterable, Mapping
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DataError, OptionError, listing, whole
+import phugoid._core as _core
+
+from ..errors import DataError, listing
 
 __all__ = [
     "EVEN",
-    "Channelled",
     "Columns",
+    "Interpolation",
+    "Interpolations",
     "Signal",
     "anti_alias",
+    "butterworth",
+    "checked_kinds",
     "even_rate",
+    "filtered",
+    "interpolated",
     "intervals",
-    "mapped",
+    "kind_of",
+    "kinds_for",
     "polyphase",
     "power_above",
-    "through",
-    "through_butterworth",
+    "settling",
 ]
 
 _Array: TypeAlias = NDArray[np.float64]
+Signal: TypeAlias = tuple[_Array, _Array, float, int]
+"""An input sampled at times of its own: times (s), samples, delay (s), order of the derivative taken."""
+Columns: TypeAlias = Mapping[str, Mapping[str, _Array]]
+"""Group ("input", "output" or "channel") -> name -> (N,)."""
 Kind: TypeAlias = Literal["highpass", "lowpass"]
 
 # Sampling counts as even when no interval is further than this part from the median.
@@ -143,154 +152,55 @@ def polyphase(values: _Array, up: int, down: int, where: str) -> _Array:
     return np.asarray(resample_poly(wide, up, down, window=fir)[first : first + -(-values.size * up // down)])
 
 
-Signal: TypeAlias = tuple[_Array, _Array, float, int]
-"""An input sampled at times of its own: times (s), samples, delay (s), order of the derivative taken."""
-Columns: TypeAlias = Mapping[str, Mapping[str, _Array]]
-"""Group ("input", "output" or "channel") -> name -> (N,)."""
-_Step: TypeAlias = Callable[[str, _Array, _Array], _Array]
-"""Takes the channel's name in messages, its times (s) and its values; returns new values at these times."""
-_Self = TypeVar("_Self", bound="Channelled")
+Interpolation = Literal["linear", "cubic", "hold"]
+"""Straight lines, a cubic spline, or each sample held until the next (zero-order hold)."""
+Interpolations: TypeAlias = "Interpolation | Mapping[str, Interpolation]"
+"""One for all inputs, or by name; ``"linear"`` for inputs that are not named."""
+
+_KINDS = "take 'linear', 'cubic' or 'hold', or a mapping such as {'de': 'hold'}"
 
 
-class Channelled:
-    """The part of a record that the preprocessing steps need."""
+def checked_kinds(experiment: str, kinds: object, names: Iterable[str]) -> Interpolations:
+    """Return a declaration for channels of these names, as a copy of its own.
 
-    @abstractmethod
-    def _columns_of(self) -> Columns:
-        """Return the columns by group."""
-
-    @abstractmethod
-    def _signals_of(self) -> Mapping[str, Signal]:
-        """Return the inputs that have samples of their own."""
-
-    @abstractmethod
-    def _times(self) -> tuple[str, _Array]:
-        """Return the name of the record and its sample times, (N,)."""
-
-    @abstractmethod
-    def _between(self, name: str, signal: Signal) -> _Array:
-        """Return the samples of an input that has its own, interpolated at the times of the record."""
-
-    @abstractmethod
-    def _is_held(self, name: str) -> bool:
-        """Tell whether the input of a name is held between its samples."""
-
-    @abstractmethod
-    def _stepped(
-        self: _Self,
-        step: str,
-        columns: Columns,
-        signals: Mapping[str, Signal],
-        t: _Array | None = None,
-        cubic: bool = False,
-    ) -> _Self:
-        """Return the record with other columns and signals, at other times where given, and a sentence for its
-        history."""
-
-
-def mapped(record: _Self, method: str, channels: Sequence[str] | None, step: _Step, said: Callable[[], str]) -> _Self:
-    """Apply ``step`` to each of the channels; an input with samples of its own is processed at these.
-
-    ``said`` gives the sentence for the history, once all is done.
+    Raises DataError for unknown kinds and unknown names.
     """
-    columns = record._columns_of()
-    present = list(dict.fromkeys(channel for group in columns.values() for channel in group))
-    name, t = record._times()
-    chosen = _chosen(name, method, channels, present)
-    signals = dict(record._signals_of())
-    made: dict[str, dict[str, _Array]] = {kind: dict(group) for kind, group in columns.items()}
-    for kind, group in columns.items():
-        for channel, values in group.items():
-            if channel not in chosen:
-                continue
-            where = f"experiment '{name}', {kind} '{channel}'"
-            if kind != "output" and channel in signals:
-                own, at_own, delay, derivative = record._signals_of()[channel]
-                signals[channel] = own, step(where, own, at_own), delay, derivative
-                made[kind][channel] = record._between(channel, signals[channel])
-            else:
-                made[kind][channel] = step(where, t, values)
-    return record._stepped(f"{said()}: {', '.join(n for n in present if n in chosen)}", made, signals)
-
-
-def _chosen(name: str, method: str, channels: Sequence[str] | None, present: Sequence[str]) -> Collection[str]:
-    if channels is None:
-        if not present:
-            raise DataError(f"{method}: experiment '{name}' has no channels")
-        return present
-    if isinstance(channels, str):
-        raise DataError(f"{method}: channels='{channels}' is text: give a list, such as channels=['{channels}']")
-    if not channels:
-        raise DataError(f"{method}: channels is empty; leave it away for all")
-    for channel in channels:
-        if channel not in present:
-            raise DataError(f"{method}: experiment '{name}' has no channel '{channel}'.{listing(channel, present)}")
-    return channels
-
-
-def through_butterworth(
-    record: _Self,
-    method: str,
-    kinds: list[tuple[Kind, float]],
-    order: int,
-    channels: Sequence[str] | None,
-    zero_phase: bool,
-    what: str,
-) -> _Self:
-    """Filter the channels with Butterworth filters in cascade."""
-    order = whole(f"{method}: order", order, 1)
-
-    def sections(rate: float) -> _Array:
-        highest = max(corner for _, corner in kinds)
-        if highest >= 0.5 * rate * (1.0 - 1e-9):
-            raise OptionError(
-                f"{method}: {highest:g} Hz is not below the Nyquist frequency {0.5 * rate:g} Hz of a record sampled "
-                f"at {rate:g} Hz"
-            )
-        return butterworth(kinds, order, rate)
-
-    return through(record, method, sections, channels, zero_phase, what)
-
-
-def through(
-    record: _Self,
-    method: str,
-    sections: Callable[[float], _Array],
-    channels: Sequence[str] | None,
-    zero_phase: bool,
-    what: str,
-) -> _Self:
-    """Filter the channels; the filter is designed for the sampling rate of each."""
-    rates: dict[str, float] = {}
-    times: list[float] = []  # s, in which the filter settles
-
-    def step(where: str, t: _Array, values: _Array) -> _Array:
-        rate = even_rate(t, values, where, method)
-        sos = sections(rate)
-        wait, length = settling(sos, rate), (values.size - 1) / rate
-        # sosfiltfilt continues the record by so much at either end.
-        beyond = 3 * (2 * len(sos) + 1) if zero_phase else 0
-        if wait > length or values.size <= beyond:
+    if isinstance(kinds, str):
+        _check(f"experiment '{experiment}'", kinds)
+        return kinds  # type: ignore[return-value]
+    if not isinstance(kinds, Mapping):
+        raise DataError(f"experiment '{experiment}': interpolation {kinds!r} is not known; {_KINDS}")
+    there = list(names)
+    for name, kind in kinds.items():
+        if name not in there:
             raise DataError(
-                f"{where}: the record is {length:.3g} s long ({values.size} samples), but this filter needs "
-                f"{max(wait, beyond / rate):.3g} s to settle: take a longer record, a wider band or a lower order, "
-                "or .detrend in place of a slow high-pass"
+                f"experiment '{experiment}': interpolation names the input '{name}', which is not there."
+                f"{listing(str(name), there)}"
             )
-        rates[where] = rate
-        times.append(wait)
-        return filtered(sos, values, zero_phase)
+        _check(f"experiment '{experiment}', input '{name}'", kind)
+    return dict(kinds)
 
-    def said() -> str:
-        how = "zero phase (forward and backward)" if zero_phase else f"causal, settles in {max(times):.2g} s"
-        return f"{what}, {how}"
 
-    done = mapped(record, method, channels, step, said)
-    slowest, fastest = min(rates, key=rates.__getitem__), max(rates, key=rates.__getitem__)
-    if rates[fastest] > 1.001 * rates[slowest]:
-        warnings.warn(
-            f"{slowest} is sampled at {rates[slowest]:g} Hz and {fastest} at {rates[fastest]:g} Hz: digital filters of "
-            "two rates differ towards the lower Nyquist frequency, and so would the dynamics; filter before .decimate",
-            UserWarning,
-            stacklevel=4,
-        )
-    return done
+def _check(where: str, kind: object) -> None:
+    if not isinstance(kind, str) or kind not in get_args(Interpolation):
+        raise DataError(f"{where}: interpolation {kind!r} is not known; {_KINDS}")
+
+
+def kind_of(kinds: Interpolations, name: str) -> Interpolation:
+    """Return how the input of a name behaves between its samples."""
+    return kinds if isinstance(kinds, str) else kinds.get(name, "linear")
+
+
+def kinds_for(kinds: Interpolations, names: Iterable[str]) -> Interpolations:
+    """Return the declaration for these inputs alone: one for all where they agree."""
+    by_name = {name: kind_of(kinds, name) for name in names}
+    if isinstance(kinds, str) or not by_name:
+        return kinds if isinstance(kinds, str) else "linear"
+    first, *others = set(by_name.values())
+    return by_name if others else first
+
+
+def interpolated(kind: Interpolation, t: _Array, values: _Array, at: _Array) -> _Array:
+    """Return the values at the times ``at`` (s, any shape) of a signal sampled at the times ``t`` (s)."""
+    found = _core.interpolate(kind, t.tolist(), values.tolist(), at.ravel().tolist())
+    return np.array(found, dtype=np.float64).reshape(at.shape)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import DataError
 from .experiment import Experiment, FloatArray, Signal
-from .interpolation import Interpolations, checked_kinds, interpolated, kind_of
+from .filtering import Interpolations, checked_kinds, interpolated, kind_of
 
 __all__ = ["distinct", "multirate", "together"]
 

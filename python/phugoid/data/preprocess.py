@@ -6,7 +6,8 @@ Each step returns a new record, and adds one sentence to its ``history``.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Collection, Mapping, Sequence
 from fractions import Fraction
 from functools import partial
 from typing import Literal, TypeAlias, TypeVar
@@ -14,35 +15,72 @@ from typing import Literal, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DataError, OptionError, positive, whole
+from ..errors import DataError, OptionError, listing, positive, whole
 from .filtering import (
-    Channelled,
+    Columns,
+    Interpolations,
+    Kind,
     Signal,
     anti_alias,
+    butterworth,
     even_rate,
-    mapped,
+    filtered,
+    interpolated,
+    kind_of,
     polyphase,
     power_above,
-    through,
-    through_butterworth,
+    settling,
 )
 
-__all__ = ["Preprocessing", "Signal"]
+__all__ = ["Preprocessing"]
 
 _Array: TypeAlias = NDArray[np.float64]
 _Self = TypeVar("_Self", bound="Preprocessing")
+_Step: TypeAlias = Callable[[str, _Array, _Array], _Array]
+"""Takes the channel's name in messages, its times (s) and its values; returns new values at these times."""
 
 # More than this part of a channel's power above the new Nyquist frequency is worth a warning.
 _RELEVANT = 0.01
 
 
-class Preprocessing(Channelled):
+class Preprocessing:
     """The preprocessing steps of a record.
 
     Filters are linear. The same one on all inputs and outputs leaves the dynamics of a **linear** model as they are,
     since filters commute with it: y = G u means F y = G F u. This is not so for a nonlinear model: its outputs respond
     to the whole input, not to its pass-band; filter such records only to drop what lies far above the motion.
     """
+
+    _name: str
+    _t: _Array
+    _inputs: dict[str, _Array]
+    _outputs: dict[str, _Array]
+    _channels: dict[str, _Array]
+    _interpolation: Interpolations
+    _signals: dict[str, Signal]
+
+    def _columns_of(self) -> Columns:
+        return {"input": self._inputs, "output": self._outputs, "channel": self._channels}
+
+    def _signals_of(self) -> Mapping[str, Signal]:
+        """Return the inputs that have samples of their own."""
+        return self._signals
+
+    def _is_held(self, name: str) -> bool:
+        """Tell whether the input of a name is held between its samples."""
+        return kind_of(self._interpolation, name) == "hold"
+
+    @abstractmethod
+    def _stepped(
+        self: _Self,
+        step: str,
+        columns: Columns,
+        signals: Mapping[str, Signal],
+        t: _Array | None = None,
+        cubic: bool = False,
+    ) -> _Self:
+        """Return the record with other columns and signals, at other times where given, and a sentence for its
+        history."""
 
     def band_pass(
         self: _Self,
@@ -101,7 +139,7 @@ class Preprocessing(Channelled):
         """
         if kind not in ("constant", "linear"):
             raise OptionError(f"detrend: kind is 'constant' or 'linear', not {kind!r}")
-        _, span = self._times()
+        span = self._t
 
         def step(where: str, t: _Array, values: _Array) -> _Array:
             # An input's own samples may reach beyond a window of the record: the trend is that of the window.
@@ -131,7 +169,7 @@ class Preprocessing(Channelled):
         their own keep them. Raises OptionError for factors that are not whole or too large, DataError for uneven
         sampling.
         """
-        name, t = self._times()
+        name, t = self._name, self._t
         factor = whole("decimate: factor", factor, 1)
         fine = None if inputs is None else whole("decimate: inputs", inputs, 1)
         if fine is not None and factor % fine:
@@ -141,16 +179,16 @@ class Preprocessing(Channelled):
                 f"decimate: of the {t.size} samples of experiment '{name}' a factor of {factor} leaves one"
             )
         rate = even_rate(t, t, f"experiment '{name}'", "decimate")
-        if fine is not None and self._signals_of():
+        if fine is not None and self._signals:
             raise OptionError(
-                f"decimate: the input '{next(iter(self._signals_of()))}' of experiment '{name}' has samples of its own "
+                f"decimate: the input '{next(iter(self._signals))}' of experiment '{name}' has samples of its own "
                 "already and keeps them: leave inputs away"
             )
         if filter:
             edge = 0.4 * rate / factor
             what = f"anti-alias low-pass {edge:g} Hz, Chebyshev of order 8"
             return through(self, "decimate", partial(anti_alias, edge), None, False, what).decimate(factor, inputs)
-        signals = dict(self._signals_of())
+        signals = dict(self._signals)
         columns: dict[str, dict[str, _Array]] = {}
         aliased = []
         for kind, group in self._columns_of().items():
@@ -188,7 +226,7 @@ class Preprocessing(Channelled):
         ends of the record, over some 20 new samples, it has to extrapolate. Raises OptionError for a
         higher rate: it would give outputs that were not measured, and standard errors that are too small.
         """
-        name, t = self._times()
+        name, t = self._name, self._t
         for channel in {**self._columns_of()["input"], **self._columns_of()["channel"]}:
             if self._is_held(channel):
                 raise OptionError(
@@ -202,9 +240,9 @@ class Preprocessing(Channelled):
                 f"resample: experiment '{name}' was sampled at {old:g} Hz, and {rate:g} Hz would make outputs that "
                 "nobody measured; for finer inputs take .upsample_inputs(factor)"
             )
-        if self._signals_of():
+        if self._signals:
             raise OptionError(
-                f"resample: the input '{next(iter(self._signals_of()))}' of experiment '{name}' has samples of its "
+                f"resample: the input '{next(iter(self._signals))}' of experiment '{name}' has samples of its "
                 "own: resample before inputs and outputs are given different rates"
             )
         ratio = Fraction(rate / old).limit_denominator(1000)
@@ -234,9 +272,9 @@ class Preprocessing(Channelled):
         between samples: these are not band-limited. Columns that are not yet assigned are upsampled as well,
         unless samples are missing; inputs that are held between their samples are left alone.
         """
-        name, t = self._times()
+        name, t = self._name, self._t
         factor = whole("upsample_inputs: factor", factor, 2)
-        signals = dict(self._signals_of())
+        signals = dict(self._signals)
         columns = self._columns_of()
         done = []
         for kind in ("channel", "input"):
@@ -256,3 +294,112 @@ class Preprocessing(Channelled):
             raise DataError(f"experiment '{name}': upsample_inputs finds no inputs that are not held between samples")
         step = f"inputs upsampled by {factor}, band-limited, cubic splines between: {', '.join(dict.fromkeys(done))}"
         return self._stepped(step, columns, signals, cubic=True)
+
+
+def mapped(record: _Self, method: str, channels: Sequence[str] | None, step: _Step, said: Callable[[], str]) -> _Self:
+    """Apply ``step`` to each of the channels; an input with samples of its own is processed at these.
+
+    ``said`` gives the sentence for the history, once all is done.
+    """
+    columns = record._columns_of()
+    present = list(dict.fromkeys(channel for group in columns.values() for channel in group))
+    name, t = record._name, record._t
+    chosen = _chosen(name, method, channels, present)
+    signals = dict(record._signals)
+    made: dict[str, dict[str, _Array]] = {kind: dict(group) for kind, group in columns.items()}
+    for kind, group in columns.items():
+        for channel, values in group.items():
+            if channel not in chosen:
+                continue
+            where = f"experiment '{name}', {kind} '{channel}'"
+            if kind != "output" and channel in signals:
+                own, at_own, delay, derivative = record._signals[channel]
+                new = step(where, own, at_own)
+                signals[channel] = own, new, delay, derivative
+                made[kind][channel] = interpolated(kind_of(record._interpolation, channel), own, new, t)
+            else:
+                made[kind][channel] = step(where, t, values)
+    return record._stepped(f"{said()}: {', '.join(n for n in present if n in chosen)}", made, signals)
+
+
+def _chosen(name: str, method: str, channels: Sequence[str] | None, present: Sequence[str]) -> Collection[str]:
+    if channels is None:
+        if not present:
+            raise DataError(f"{method}: experiment '{name}' has no channels")
+        return present
+    if isinstance(channels, str):
+        raise DataError(f"{method}: channels='{channels}' is text: give a list, such as channels=['{channels}']")
+    if not channels:
+        raise DataError(f"{method}: channels is empty; leave it away for all")
+    for channel in channels:
+        if channel not in present:
+            raise DataError(f"{method}: experiment '{name}' has no channel '{channel}'.{listing(channel, present)}")
+    return channels
+
+
+def through_butterworth(
+    record: _Self,
+    method: str,
+    kinds: list[tuple[Kind, float]],
+    order: int,
+    channels: Sequence[str] | None,
+    zero_phase: bool,
+    what: str,
+) -> _Self:
+    """Filter the channels with Butterworth filters in cascade."""
+    order = whole(f"{method}: order", order, 1)
+
+    def sections(rate: float) -> _Array:
+        highest = max(corner for _, corner in kinds)
+        if highest >= 0.5 * rate * (1.0 - 1e-9):
+            raise OptionError(
+                f"{method}: {highest:g} Hz is not below the Nyquist frequency {0.5 * rate:g} Hz of a record sampled "
+                f"at {rate:g} Hz"
+            )
+        return butterworth(kinds, order, rate)
+
+    return through(record, method, sections, channels, zero_phase, what)
+
+
+def through(
+    record: _Self,
+    method: str,
+    sections: Callable[[float], _Array],
+    channels: Sequence[str] | None,
+    zero_phase: bool,
+    what: str,
+) -> _Self:
+    """Filter the channels; the filter is designed for the sampling rate of each."""
+    rates: dict[str, float] = {}
+    times: list[float] = []  # s, in which the filter settles
+
+    def step(where: str, t: _Array, values: _Array) -> _Array:
+        rate = even_rate(t, values, where, method)
+        sos = sections(rate)
+        wait, length = settling(sos, rate), (values.size - 1) / rate
+        # sosfiltfilt continues the record by so much at either end.
+        beyond = 3 * (2 * len(sos) + 1) if zero_phase else 0
+        if wait > length or values.size <= beyond:
+            raise DataError(
+                f"{where}: the record is {length:.3g} s long ({values.size} samples), but this filter needs "
+                f"{max(wait, beyond / rate):.3g} s to settle: take a longer record, a wider band or a lower order, "
+                "or .detrend in place of a slow high-pass"
+            )
+        rates[where] = rate
+        times.append(wait)
+        return filtered(sos, values, zero_phase)
+
+    def said() -> str:
+        how = "zero phase (forward and backward)" if zero_phase else f"causal, settles in {max(times):.2g} s"
+        return f"{what}, {how}"
+
+    done = mapped(record, method, channels, step, said)
+    slowest, fastest = min(rates, key=rates.__getitem__), max(rates, key=rates.__getitem__)
+    if rates[fastest] > 1.001 * rates[slowest]:
+        warnings.warn(
+            f"{slowest} is sampled at {rates[slowest]:g} Hz and {fastest} at {rates[fastest]:g} Hz: digital filters of "
+            "two rates differ towards the lower Nyquist frequency, and so would the dynamics; filter before .decimate",
+            UserWarning,
+            stacklevel=4,
+        )
+    return done

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from numbers import Real
 from os import PathLike
+from pathlib import Path
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -12,16 +13,55 @@ import numpy as np
 from ..errors import DataError, did_you_mean, some
 from .checked import FloatArray, checked_gaps, real
 from .experiment import Experiment
-from .interpolation import Interpolations
+from .filtering import Interpolations
 from .multirate import multirate
-from .readers import open_source
-from .readers.source import Source
+from .readers import Source, arrays, flight_logs, text
 from .units import convert as converted
 from .units import si
 
 __all__ = ["read"]
 
 Units = Mapping[str, "str | tuple[str, str]"]
+
+
+def _open_source(
+    data: Any, time: str | None, requested: set[str], columns: Sequence[str] | None, delimiter: str | None
+) -> Source:
+    """Return the columns of a table in memory, or of a file, whose ending gives its kind.
+
+    time       name in the file of the column that gives the times; None: not given.
+    requested  names that are asked for: columns that take long to read are skipped unless they are among them.
+    """
+    if arrays.is_frame(data):
+        return arrays.read_frame(data, time)
+    path = _path(data)
+    ending = path.suffix.lower()
+    if not path.is_file():
+        tables = flight_logs.find_tables(path)
+        if tables:
+            return flight_logs.read_px4_tables(path, tables, time)
+        if path.is_dir():
+            raise DataError(f"{path}: is a folder without tables of a PX4 log (such as log_vehicle_attitude_0.csv)")
+    if ending == ".mat":
+        return arrays.read_matlab(path, time, columns)
+    if ending in (".h5", ".hdf5", ".hdf", ".he5"):
+        return arrays.read_hdf5(path, time, columns)
+    if ending in (".parquet", ".pq"):
+        return arrays.read_parquet(path, time)
+    if ending == ".ulg":
+        return flight_logs.read_ulog(path, time, requested)
+    if ending == ".bin":
+        return flight_logs.read_ardupilot(path, time, requested)
+    return text.read_text(path, columns, delimiter)
+
+
+def _path(data: Any) -> Path:
+    try:
+        return Path(data)
+    except TypeError:
+        raise DataError(
+            f"read: give the path of a file, or a table of pandas, polars or xarray, not {data!r:.60}"
+        ) from None
 
 
 class _Columns:
@@ -310,7 +350,7 @@ def read(
     called = [old for old, new in renaming.items() if new == time] or ([] if time is None else [time])
     asked = {*(inputs or ()), *(outputs or ()), *labels}
     wanted_names = {*asked, *(old for old, new in renaming.items() if new in asked)}
-    source = open_source(path, called[0] if called else None, wanted_names, columns, delimiter)
+    source = _open_source(path, called[0] if called else None, wanted_names, columns, delimiter)
     if source.group:  # names may have it or not
         renaming = {source.bare(old): new for old, new in renaming.items()}
 

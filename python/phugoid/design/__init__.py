@@ -14,9 +14,8 @@ the trim, and make an experiment of it:
 Identification, 2nd ed., AIAA 2015, ch. 2.)
 """
 
-from .design_evaluation import plan, plans
+from .design_evaluation import optimal_plan, plan, plans
 from .multisines import multisine, multisines, peak_factor, spectrum, step_width
-from .optimum import optimal_plan
 from .steps import doublet, multistep, pulse, rate_limited, step, sweep, three_two_one_one
 
 __all__ = [

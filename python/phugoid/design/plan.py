@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import OptionError, UnknownName, did_you_mean
+from ..errors import ModelError, OptionError, UnknownName, did_you_mean, listing
 from ..figures import LIMIT, SERIES, WIDTH, Panels, labelled, plain, styled
 from ..notebook import Rows, overview, sparkline
 from ..parameters import Estimates, correlation_matrix, text_table
@@ -24,13 +24,18 @@ __all__ = [
     "Criterion",
     "Excursion",
     "Information",
+    "Limits",
     "ParameterDirection",
     "Plan",
     "Plans",
     "criterion_of",
+    "excursions_of",
 ]
 
 _Array = NDArray[np.float64]
+Criterion: TypeAlias = Literal["D", "A", "worst"]
+Limits: TypeAlias = Mapping[str, float | tuple[float, float]]
+"""Channel -> greatest size, or (lower, upper)."""
 
 
 # An eigenvalue of the correlation form below this belongs to a direction that the data do not determine.
@@ -109,13 +114,33 @@ class Information:
             found.append(self._named(vector, float(1.0 / np.sqrt(value)) if value > 0.0 else np.inf))
         return tuple(found[:n])
 
+    def criteria(self, sizes: _Array, of: Collection[str] | None) -> dict[Criterion, float]:
+        """Return `Plan.criteria` of the parameters ``of``, None for all, errors in units of ``sizes`` (n,)."""
+        names = list(self.names)
+        for n in of or ():
+            if n not in names:
+                raise ModelError(f"plan: of: '{n}' is not a parameter that is estimated.{listing(n, names)}")
+        chosen = [i for i, n in enumerate(names) if (of is None or n in of) and np.isfinite(sizes[i])]
+        if not chosen:
+            raise OptionError("plan: no parameter has a size in which its error counts: give sizes={'name': ...}")
+        block = self.covariance[np.ix_(chosen, chosen)] / np.outer(sizes[chosen], sizes[chosen])
+        if not np.isfinite(block).all():
+            return {"D": np.inf, "A": np.inf, "worst": np.inf}
+        variance = np.diag(block)
+        scale = np.sqrt(variance)
+        _, log_det = np.linalg.slogdet(block / np.outer(scale, scale))
+        log_det += 2.0 * np.log(scale).sum()
+        return {
+            "D": float(np.exp(0.5 * log_det / len(chosen))),
+            "A": float(np.sqrt(variance.mean())),
+            "worst": float(scale.max()),
+        }
+
     def _named(self, vector: _Array, error: float) -> ParameterDirection:
         order = np.argsort(-np.abs(vector))
         vector = vector * np.sign(vector[order[0]])
         return ParameterDirection({self.names[i]: float(vector[i]) for i in order if abs(vector[i]) > _PART}, error)
 
-
-Criterion: TypeAlias = Literal["D", "A", "worst"]
 
 # Correlations from here on are worth naming.
 _CORRELATED = 0.9
@@ -148,6 +173,29 @@ class Excursion:
         low, high = self.limit
         room = 0.5 * (high - low) if np.isfinite(high - low) else max(abs(b) for b in self.limit if np.isfinite(b))
         return max(low - self.least, self.greatest - high) / (room or 1.0)
+
+
+def excursions_of(record: Record, limits: Limits) -> dict[str, Excursion]:
+    """Return the ranges of inputs, states and outputs of a planned record by name."""
+    channels = {**record.inputs, **record.states, **record.outputs}
+    for n in limits:
+        if n not in channels:
+            raise ModelError(f"plan: limits: '{n}' is no input, state or output.{listing(str(n), list(channels))}")
+    found = {}
+    for n, v in channels.items():
+        bound = limits.get(n)
+        limit: tuple[float, float] | None = None
+        if bound is not None:
+            low, high = (-bound, bound) if isinstance(bound, (int, float)) else bound
+            if not low < high:
+                raise OptionError(f"plan: limits of '{n}' are a size, or (lower, upper), not {bound!r}")
+            limit = float(low), float(high)
+        # A limit that is an amplitude is reached, not left.
+        slack = 1e-9 * max((abs(b) for b in limit or () if np.isfinite(b)), default=0.0)
+        beyond = np.zeros(v.size, dtype=bool) if limit is None else (v < limit[0] - slack) | (v > limit[1] + slack)
+        when = float(record.t[np.argmax(beyond)]) if beyond.any() else None
+        found[n] = Excursion(float(v.min()), float(v.max()), record.units.get(n, ""), limit, when)
+    return found
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from ..data.experiment import Experiment
-from ..data.interpolation import kinds_for
+from ..data.filtering import kinds_for
 from ..errors import EvaluationError
 from ..fit_result import FitResult, Refinement, Smoothing, SmoothingStep, Step
 from ..goodness_of_fit import no_match, r_squared
@@ -26,7 +26,7 @@ from ..regression.equation_error import EquationError
 from ..solvers import Iteration, Progress, Solution
 from ..solvers.ipopt import Ipopt
 from ..solvers.newton import Newton, solution_of
-from ..transcription import Collocation, Transcription, records_of, step_spec
+from ..transcription import Collocation, Transcription, records_of
 
 __all__ = ["Earlier", "estimated", "make_fit"]
 
@@ -120,7 +120,7 @@ def estimated(
         **ways,
     }
     if not isinstance(transcription, Collocation):
-        options["shooting"] = transcription.integrator, step_spec(transcription)
+        options["shooting"] = transcription.integrator, transcription.step_spec
     records = records_of(model, experiments)
     with Progress.of(progress, model.name) as watch:
 

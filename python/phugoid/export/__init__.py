@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from .._core import Expr, __version__
-from ..data.interpolation import kind_of
+from ..data.filtering import kind_of
 from ..errors import DataError, ModelError, OptionError
 from ..fit_result import FitResult
 from ..linear.linearise import labels_of, numbers_of

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..data.interpolation import kind_of
+from ..data.filtering import kind_of
 from ..errors import DataError, UnknownName, did_you_mean
 from ..fit_result import FitResult
 from ..goodness_of_fit import Tolerance, match, tolerances_by_output
@@ -212,16 +212,13 @@ def plot_validation(
 
 
 def plot_record(
-    record: Record,
-    channels: Sequence[str] | None = None,
-    axes: Mapping[str, Axes] | None = None,
-    title: str | None = None,
+    record: Record, channels: Sequence[str] | None = None, title: str | None = None
 ) -> tuple[Figure, dict[str, Axes]]:
     """Plot the time histories of one record, such as a simulation, with the measured points where there are any.
 
     Parameters, return value and errors as for `plot_fit`.
     """
-    return _draw(record, channels, axes, {}, record.name if title is None else title)
+    return _draw(record, channels, None, {}, record.name if title is None else title)
 
 
 def sigmas_of(fit: FitResult, record: Record) -> dict[str, float]:

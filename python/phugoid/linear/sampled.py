@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.experiment import Experiment, as_experiments
-from ..data.filtering import EVEN, intervals
-from ..data.interpolation import interpolated
+from ..data.filtering import EVEN, interpolated, intervals
 from ..errors import DataError, OptionError, listing
 
 __all__ = [

@@ -41,8 +41,10 @@ __all__ = [
     "model_html",
     "model_latex",
     "model_text",
+    "named_equations",
     "read_names",
     "rebuilt",
+    "saved_conditions",
     "separated",
     "source_line",
     "terms_added",
@@ -240,6 +242,19 @@ def equations_of(core: _core.Model) -> Iterator[tuple[Key, Expr]]:
         yield (end, state), e
 
 
+def named_equations(core: _core.Model) -> dict[str, tuple[Key, Expr]]:
+    """Return keys and right-hand sides of quantities, state equations and outputs, named as in `Model.equations`."""
+    names = {"quantity": "{}", "equation": "{}'", "output": "y:{}"}
+    return {names[kind].format(name): ((kind, name), e) for (kind, name), e in equations_of(core) if kind in names}
+
+
+def saved_conditions(names: Any, inputs: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of conditions as saved; raise ModelError unless they are inputs of the model, each once."""
+    if not isinstance(names, list) or any(n not in inputs for n in names) or len(set(names)) < len(names):
+        raise ModelError(f"saved model: measured_conditions are inputs of the model, each once, not {names!r}")
+    return tuple(names)
+
+
 def declare_parameter(core: _core.Model, name: str, p: Parameter) -> Expr:
     """Declare a parameter in a core model."""
     log = p.transform == "log"
@@ -278,9 +293,7 @@ def added_parameters(
 
 def terms_added(core: _core.Model, terms: Mapping[str, Any]) -> dict[Key, Expr]:
     """Return the equations that `Model.with_terms` replaces; raises as that does."""
-    names = {"quantity": "{}", "equation": "{}'", "output": "y:{}"}
-    old = {names[kind].format(name): ((kind, name), e) for (kind, name), e in equations_of(core) if kind in names}
-    found = {}
+    old, found = named_equations(core), {}
     for name, term in terms.items():
         if name not in old:
             raise ModelError(f"with_terms: '{name}' is no equation.{listing(str(name), list(old))}")
@@ -344,8 +357,9 @@ def changed(
     equations: Mapping[Key, Expr],
     inputs: Mapping[str, str],
     outputs: Mapping[str, Expr],
+    states: Mapping[str, tuple[str, Expr, Expr | None]],
 ) -> _core.Model:
-    """Return a model with some parameters and equations replaced, and new parameters, inputs and outputs added."""
+    """Return a model with some parameters and equations replaced, and new ones, inputs, outputs and states added."""
 
     def declare(core: _core.Model, declared: Any) -> None:
         if declared[0] in parameters:
@@ -360,6 +374,11 @@ def changed(
             declare_parameter(core, name, p)
     for name, e in outputs.items():
         core.output(name, e, "", None)
+    for name, (unit, right, initial) in states.items():
+        core.state(name, unit)
+        core.equation(name, right, None)
+        if initial is not None:
+            core.condition("initial", name, initial, None)
     return core
 
 
@@ -389,22 +408,24 @@ def kink_advice(core: _core.Model) -> str:
 
 
 def model_html(
-    name: str,
+    core: _core.Model,
     note: str,
-    equations: Sequence[tuple[str, str, Expr]],
     symbols: Mapping[str, Sequence[str]],
     units: Mapping[str, str],
     parameters: Mapping[str, Parameter],
 ) -> str:
-    """Return the HTML of a model from its equations (kind, left side, right side) and its symbols by kind."""
-    lines = [[kind, equation(left, right, rate=kind == "state", cut=_CUT)] for kind, left, right in equations]
+    """Return the HTML of a model from its equations and its symbols by kind."""
+    lines = [
+        ["state" if kind == "equation" else kind, equation(left, right, rate=kind == "equation", cut=_CUT)]
+        for (kind, left), right in equations_of(core)
+    ]
     rows = [[symbol, kind, units.get(symbol, ""), "", ""] for kind, names in symbols.items() for symbol in names]
     for symbol, p in parameters.items():
         limited = any(abs(bound) != float("inf") for bound in p.bounds)
         remark = "fixed" if p.fixed else f"{p.bounds[0]:g} to {p.bounds[1]:g}" if limited else ""
         rows.append([symbol, "parameter", p.unit, f"{p.start:.6g}", remark])
     heads = ["symbol", "", "unit", "start", "bounds"]
-    return overview(name, (["", "equation"], lines, "ll"), (heads, rows, "lllrl"), note=note)
+    return overview(core.name, (["", "equation"], lines, "ll"), (heads, rows, "lllrl"), note=note)
 
 
 def model_latex(core: _core.Model, conditions: Sequence[str]) -> str:
@@ -420,10 +441,8 @@ def model_latex(core: _core.Model, conditions: Sequence[str]) -> str:
 
 def model_text(core: _core.Model, conditions: Sequence[str]) -> str:
     """Return the equations of a model, and its measured conditions, line by line."""
-    lines = [f"{name} = {e}" for name, e, *_ in core.quantities]
-    lines += [f"{name}' = {e}" for name, e, *_ in core.dynamics]
-    lines += [f"{name} (measured) = {e}" for name, e, *_ in core.outputs]
-    lines += [f"{state} ({end}) = {e}" for end, state, e, _ in core.conditions]
+    marks = {"quantity": "", "equation": "'", "output": " (measured)"}
+    lines = [f"{name}{marks.get(kind, f' ({kind})')} = {e}" for (kind, name), e in equations_of(core)]
     units = {n: f" ({unit})" if unit else "" for n, unit in core.inputs}
     lines += [f"conditions: {', '.join(f'{n}{units[n]}' for n in conditions)}"] if conditions else []
     return "\n".join([core.name, *(f"  {readable(line)}" for line in lines)])

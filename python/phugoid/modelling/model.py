@@ -30,7 +30,9 @@ from .declared import (
     model_html,
     model_latex,
     model_text,
+    named_equations,
     read_names,
+    saved_conditions,
     separated,
     source_line,
     terms_added,
@@ -294,9 +296,7 @@ class Model:
     @property
     def equations(self) -> dict[str, Expr]:
         """Right-hand sides by name: quantities, state equations (with a prime: ``q'``) and outputs (``y:q``)."""
-        found = {name: e for name, e, *_ in self._core.quantities}
-        found |= {f"{name}'": e for name, e, *_ in self._core.dynamics}
-        return found | {f"y:{name}": e for name, e, *_ in self._core.outputs}
+        return {name: e for name, (_, e) in named_equations(self._core).items()}
 
     @property
     def end_conditions(self) -> tuple[tuple[str, str, Expr], ...]:
@@ -343,16 +343,9 @@ class Model:
         return f"$$\n{text}\n$$" if len(text) <= _LONGEST else None  # a notebook shows its text then
 
     def _repr_html_(self) -> str:
-        lines = [("quantity", n, e) for n, e, *_ in self._core.quantities]
-        lines += [("state", n, e) for n, e, *_ in self._core.dynamics]
-        lines += [("output", n, e) for n, e, *_ in self._core.outputs]
-        lines += [(end, state, e) for end, state, e in self.end_conditions]
-        symbols = {
-            "state": self.state_names,
-            "input": [n for n in self.input_names if not self.is_condition(n)],
-            "condition": self.condition_names,
-        }
-        return model_html(self.name, self._counts(), lines, symbols, self.units, self.declared_parameters)
+        controls = [n for n in self.input_names if not self.is_condition(n)]
+        symbols = {"state": self.state_names, "input": controls, "condition": self.condition_names}
+        return model_html(self._core, self._counts(), symbols, self.units, self.declared_parameters)
 
     def to_json(self) -> str:
         """Return the model as text that `from_json`, and the Rust crate, read back exactly."""
@@ -376,7 +369,7 @@ class Model:
             saved = json.loads(text)
             model._with_noise(noise_from_dict(saved.get("noise", {})))
             model._delays = Delays.from_dict(saved.get("delays", {}))
-            model._condition_names = _saved_conditions(saved.get("measured_conditions", []), model.input_names)
+            model._condition_names = saved_conditions(saved.get("measured_conditions", []), model.input_names)
         except ModelError:
             raise
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
@@ -453,12 +446,7 @@ class Model:
         ``equations`` are keyed as in `equations_of`; new ``states`` are unit, right-hand side and initial value, None
         for any; ``inputs`` are units.
         """
-        core = changed(self._core, parameters, equations, inputs, outputs)
-        for name, (unit, right, initial) in states.items():
-            core.state(name, unit)
-            core.equation(name, right, None)
-            if initial is not None:
-                core.condition("initial", name, initial, None)
+        core = changed(self._core, parameters, equations, inputs, outputs, states)
         return self._around(core, self._delays if delays is None else delays)
 
     def _right_hand_sides(self) -> dict[Key, Expr]:
@@ -509,10 +497,3 @@ class Model:
 
     def __str__(self) -> str:
         return model_text(self._core, self.condition_names)
-
-
-def _saved_conditions(names: Any, inputs: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of conditions as saved; raise ModelError unless they are inputs of the model, each once."""
-    if not isinstance(names, list) or any(n not in inputs for n in names) or len(set(names)) < len(names):
-        raise ModelError(f"saved model: measured_conditions are inputs of the model, each once, not {names!r}")
-    return tuple(names)

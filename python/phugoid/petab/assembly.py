@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .._core import Expr
 from ..data.experiment import Experiment
-from ..data.interpolation import Interpolation
+from ..data.filtering import Interpolation
 from ..errors import EvaluationError, ModelError
 from ..modelling.densities import PerOutput
 from ..modelling.model import Model

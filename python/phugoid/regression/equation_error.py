@@ -20,8 +20,15 @@ from ..parameters import Estimate, Estimates, estimates_html, estimates_table, t
 from ..records import Record
 from . import Equation, EquationSides, Evaluation, Unknown, channels, equations, groups, unknowns_of
 from .least_squares import Differentiator, FourierSmoothing, Regression, SavitzkyGolay, SmoothingSpline, regress
-from .selected_terms import SelectedTerms, TermSelection, check_keep, selection_options
-from .term_selection import select_terms, with_candidates, without
+from .term_selection import (
+    SelectedTerms,
+    TermSelection,
+    check_keep,
+    select_terms,
+    selection_options,
+    with_candidates,
+    without,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,7 +15,7 @@ import phugoid._core as _core
 
 from .._core import Expr
 from ..data.experiment import Experiment
-from ..data.interpolation import interpolated
+from ..data.filtering import interpolated
 from ..errors import EvaluationError, OptionError
 from ..fit_result import FitResult, dataset
 from ..initialisation import spread

@@ -23,7 +23,7 @@ from ..notebook import Rows, overview, sparkline
 from ..parameters import Estimates, text_table
 from ..solvers import limited
 from ..tabular import arviz_draws
-from .filtered import of_fit
+from .bands import of_fit
 from .resample import Blocks, ColouredNoise, Parametric, Resampler, block_length
 
 if TYPE_CHECKING:

@@ -1,68 +1,125 @@
-"""Readers, one for each kind of file; each returns a `Source`, columns by name."""
+"""Readers, one for each kind of file, and their common result: columns by name, and what holds the times of each."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import importlib
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ...errors import DataError
-from .source import Source
+from numpy.typing import ArrayLike
 
-__all__ = ["open_source"]
+from ...errors import DataError, MissingDependency, PhugoidError, nearest
+
+__all__ = ["KINDS", "Column", "Source", "contents", "existing", "load", "reading", "split_unit", "stem"]
+
+KINDS = ".mat, .h5, .hdf5, .parquet, .ulg, .bin"
 
 
-def open_source(
-    data: Any, time: str | None, requested: set[str], columns: Sequence[str] | None, delimiter: str | None
-) -> Source:
-    """Return the columns of a table in memory, or of a file, whose ending gives its kind.
+@dataclass(frozen=True)
+class Column:
+    """One column of a file.
 
-    time    name in the file of the column that gives the times; None: not given.
-    requested  names that are asked for: columns that take long to read are skipped unless they are among them.
+    name    as the file has it, without the unit.
+    values  returns the values, (N,), when called with the user's name of the column, which messages contain.
+    unit    "" where the file has none.
+    header  name and unit as written, where these were one text.
+    times   name of the column that holds its times; None: the one that the user calls the time.
     """
-    from .arrays import is_frame, read_frame
 
-    if is_frame(data):
-        return read_frame(data, time)
-    path = _path(data)
-    ending = path.suffix.lower()
+    name: str
+    values: Callable[[str], ArrayLike]
+    unit: str = ""
+    header: str = ""
+    times: str | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """The columns of a file, or of a table in memory.
+
+    where     what messages call it.
+    name      what the experiment is called unless the user says otherwise.
+    left_out  name -> why it is no column, for messages on names that may be asked for.
+    group     the group that holds all columns and is not part of their names, with its dot; "" where there is none.
+    """
+
+    where: str
+    name: str
+    columns: list[Column]
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    group: str = ""
+
+    def bare(self, name: Any) -> Any:
+        """Return the name of a column without the group; what is no text, as it is."""
+        return name.removeprefix(self.group) if isinstance(name, str) else name
+
+
+def stem(path: Path) -> str:
+    """Return the file's name without its ending: ``run1`` of ``run1.csv.gz``."""
+    name = path.name.removesuffix(".gz")
+    return name.rsplit(".", 1)[0] if "." in name[1:] else name
+
+
+def existing(path: Path) -> None:
+    """Raise DataError unless the path is a file; the message names the folder, and a similar file there."""
+    if path.is_dir():
+        raise DataError(f"{path}: is a folder, not a file")
     if not path.is_file():
-        from .flight_logs import find_tables, read_px4_tables
-
-        tables = find_tables(path)
-        if tables:
-            return read_px4_tables(path, tables, time)
-        if path.is_dir():
-            raise DataError(f"{path}: is a folder without tables of a PX4 log (such as log_vehicle_attitude_0.csv)")
-    if ending == ".mat":
-        from .arrays import read_matlab
-
-        return read_matlab(path, time, columns)
-    if ending in (".h5", ".hdf5", ".hdf", ".he5"):
-        from .arrays import read_hdf5
-
-        return read_hdf5(path, time, columns)
-    if ending in (".parquet", ".pq"):
-        from .arrays import read_parquet
-
-        return read_parquet(path, time)
-    if ending == ".ulg":
-        from .flight_logs import read_ulog
-
-        return read_ulog(path, time, requested)
-    if ending == ".bin":
-        from .flight_logs import read_ardupilot
-
-        return read_ardupilot(path, time, requested)
-    from .text import read_text
-
-    return read_text(path, columns, delimiter)
+        folder = path.parent.resolve()
+        if not folder.is_dir():
+            raise DataError(f"{path}: there is no such file; there is no folder {folder} either")
+        # A record with another number is another record, and one with another ending is no slip of a finger.
+        near = [p.stem for p in folder.iterdir() if p.suffix == path.suffix and _digits(p.name) == _digits(path.name)]
+        meant = nearest(path.stem, near)  # without the ending, which makes any two names alike
+        hint = f" Did you mean '{meant}{path.suffix}'?" if meant else ""
+        raise DataError(f"{path}: there is no such file in {folder}.{hint}")
 
 
-def _path(data: Any) -> Path:
+def _digits(name: str) -> str:
+    return "".join(filter(str.isdigit, name))
+
+
+def contents(path: Path) -> bytes:
+    """Return the bytes of a file; raise DataError where it is absent or cannot be read."""
+    existing(path)
     try:
-        return Path(data)
-    except TypeError:
-        raise DataError(
-            f"read: give the path of a file, or a table of pandas, polars or xarray, not {data!r:.60}"
-        ) from None
+        return path.read_bytes()
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def load(module: str, kind: str, extra: str) -> Any:
+    """Import and return an optional package; MissingDependency gives the command that installs it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        raise MissingDependency(f'to read {kind} needs {package} ({error}): pip install "phugoid[{extra}]"') from error
+
+
+@contextmanager
+def reading(where: str | Path, kind: str) -> Iterator[None]:
+    """Turn the exceptions of a foreign reader into a DataError that names the file.
+
+    Damaged bytes lead the packages that parse them to exceptions of any type, so none is left out.
+    """
+    try:
+        yield
+    except PhugoidError:
+        raise
+    except Exception as error:
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise DataError(f"{where}: is not {kind}, or is damaged or cut short ({why})") from None
+
+
+def split_unit(header: str) -> tuple[str, str]:
+    """Return name and unit of ``alpha [deg]`` or ``alpha (deg)``; the unit is "" where there is none or it is ``-``."""
+    match = re.fullmatch(r"(.+?)\s*[\[(]\s*([^\[\]()]+?)\s*[\])]", header)
+    # A whole number in brackets is an index, as in PX4's "xyz[0]", and part of the name.
+    if match and not match[2].isdigit():
+        return match[1], "" if match[2] == "-" else match[2]
+    return header, ""

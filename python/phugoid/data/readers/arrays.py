@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import DataError
-from .source import Column, Source, contents, existing, load, reading, split_unit, stem
+from . import Column, Source, contents, existing, load, reading, split_unit, stem
 
 __all__ = [
     "is_frame",

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import DataError
-from .source import Column, Source, existing, load, reading, stem
+from . import Column, Source, existing, load, reading, stem
 from .text import read_text
 
 __all__ = ["find_tables", "read_ardupilot", "read_px4_tables", "read_ulog"]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...errors import DataError
 from ..experiment import FloatArray
-from .source import KINDS, Column, Source, contents, split_unit, stem
+from . import KINDS, Column, Source, contents, split_unit, stem
 
 __all__ = ["read_text"]
 

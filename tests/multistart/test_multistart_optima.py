@@ -92,7 +92,7 @@ def test_ends_where_parameters_cannot_be_determined_are_told_as_optima() -> None
     m.outputs(y=a * b * x)
     m.initial(x=1.0)
     y = 2.0 * np.exp(-T) + 0.01 * np.random.default_rng(1).standard_normal(T.size)
-    result = ph.multistart(m, ph.Experiment(T, {}, {"y": y}), 3, ranges={"a": (0.5, 2.0), "b": (0.5, 2.0)}, seed=1)
+    result = ph.multistart(m, ph.Experiment(T, {}, {"y": y}), n=3, ranges={"a": (0.5, 2.0), "b": (0.5, 2.0)}, seed=1)
     assert result.counts == {"unidentifiable": 3}
     summary = result.summary()
     assert "converged      0 (0 %)" in summary and "at an optimum  3 (100 %)" in summary

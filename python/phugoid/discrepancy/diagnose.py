@@ -40,7 +40,7 @@ from .search.restart import Restart, restarted, with_optimum
 from .search.scan import Scan
 from .search.segments import Segments, Thinned, segments_of, thinned
 from .search.sensor_fault import SensorFault, UnsignedSensor, sensor_faults, unsigned_sensor, without_faults
-from .search.stages import State, ranked, ranking_of, stages, words_of_inputs
+from .search.stages import Inquiry, ranked, ranking_of, stages, words_of_inputs
 
 __all__ = ["diagnose"]
 
@@ -139,7 +139,7 @@ def diagnose(
         with deadline.in_force():
             differ = records.segments is None and not (records.parts is not None and records.parts.several)
             about = partial(candidates_given, records.fit, candidates)
-            state = State.begun(search).after(stages(about, differ))
+            state = Inquiry.begun(search).after(stages(about, differ))
         told = _told(records, state, deadline)
     with interrupts():
         notes = _all_notes(records, state, told, listed, free, unfitted)
@@ -239,7 +239,7 @@ class _Reported:
     ended: str
 
 
-def _told(records: _Records, state: State, deadline: Deadline) -> _Reported:
+def _told(records: _Records, state: Inquiry, deadline: Deadline) -> _Reported:
     """Return what is reported of a state, with what more is to be worked out for that within the time limit."""
     search, result = state.search, state.result
     ended = deadline.ended() if state.interrupted else ""
@@ -281,7 +281,7 @@ def _told(records: _Records, state: State, deadline: Deadline) -> _Reported:
     return _Reported([*before, *terms, *rest], ranking, kept, laws, extension, full, interrupted, ended)
 
 
-def _is_of_inputs(state: State) -> bool:
+def _is_of_inputs(state: Inquiry) -> bool:
     """Tell whether what is left is that of an input that was found, or comes of inputs that were sampled too slowly: in
     white residuals these leave what looks like noise of them."""
     remainder = state.remainder
@@ -340,7 +340,7 @@ def _with_optimum(fit: FitResult, candidates: Any) -> list[Refit]:
 
 def _all_notes(
     records: _Records,
-    state: State,
+    state: Inquiry,
     told: _Reported,
     listed: Sequence[Candidate],
     free: Sequence[str] | None,

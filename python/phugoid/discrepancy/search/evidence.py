@@ -17,8 +17,8 @@ from ..candidates.scales import evaluated
 from ..candidates.terms import Periodic
 from .free_run import Explained, Misfitting, Simulated
 from .refit import (
-    Blocks,
     HeldOut,
+    LeftOut,
     Refit,
     across_blocks,
     gain_on_other_data,
@@ -294,7 +294,7 @@ class Assessment:
         parameters are ``common`` to the blocks where a drift of one is in question, which own values would hide."""
         key = more, ("all",) if common else tuple(c.name for c in more.beside(base.candidates))
         if key not in self._blocks:
-            blocks = Blocks.of(more, more.own.filter, more.beside(base.candidates))
+            blocks = LeftOut.of(more, more.own.filter, more.beside(base.candidates))
             self._blocks[key] = Simulated.of(more.linear, blocks.common if common else blocks.plain)
         return self._blocks[key]
 

@@ -29,8 +29,8 @@ from ..candidates.candidate import Candidate
 
 __all__ = [
     "BLOCKS",
-    "Blocks",
     "HeldOut",
+    "LeftOut",
     "Refit",
     "across_blocks",
     "blocks_of",
@@ -237,8 +237,8 @@ class HeldOut(NamedTuple):
 
 def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> HeldOut:
     """Gain in whitened log-likelihood of the blocks of the records, each predicted by what the others say of all
-    parameters, the new candidates' among them (`Blocks`)."""
-    without, with_new = (Blocks.of(at, more.own.filter, ()).whitened for at in (base, more))
+    parameters, the new candidates' among them (`LeftOut`)."""
+    without, with_new = (LeftOut.of(at, more.own.filter, ()).whitened for at in (base, more))
     gain = np.zeros(base.linear.n_measured)  # a late sensor leaves some samples out
     gain[base.linear.measured_rows] += 0.5 * without**2
     gain[more.linear.measured_rows] -= 0.5 * with_new**2
@@ -253,7 +253,7 @@ def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> HeldOut
 
 
 @dataclass(frozen=True, eq=False)
-class Blocks:
+class LeftOut:
     """Errors of the blocks of the records, each predicted by the others, to first order about the fit to all: the step
     that takes out what a block says of the parameters.
 
@@ -268,7 +268,7 @@ class Blocks:
     common: _Array
 
     @staticmethod
-    def of(at: Refit, filter: Filter, held: Sequence[Candidate]) -> Blocks:
+    def of(at: Refit, filter: Filter, held: Sequence[Candidate]) -> LeftOut:
         """Return the errors of a refit's blocks through a filter; the coefficients of ``held`` are the others'."""
         seen = at.own if filter is at.own.filter else at.through(filter)
         scale, block, basis = at.linear.scale(), blocks_of(at.linear), seen.basis
@@ -285,7 +285,7 @@ class Blocks:
             common[inside] -= moves @ step
             rest, own = common[inside] / scale[inside], moves @ free / scale[inside, None]
             plain[inside] = scale[inside] * (rest - own @ np.linalg.lstsq(own, rest, rcond=_RANK)[0])
-        return Blocks(white, plain, common)
+        return LeftOut(white, plain, common)
 
 
 def blocks_of(linear: Linearised) -> NDArray[np.intp]:

@@ -28,7 +28,7 @@ from .segments import short_segments
 from .stand_ins import without_stand_ins
 
 __all__ = [
-    "State",
+    "Inquiry",
     "ranked",
     "ranking_of",
     "stages",
@@ -47,7 +47,7 @@ _BEYOND = 1.25
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class Inquiry:
     """What is known of a misfit.
 
     first        the search on the records as they are.
@@ -73,11 +73,11 @@ class State:
     interrupted: bool = False
 
     @staticmethod
-    def begun(search: Search) -> State:
+    def begun(search: Search) -> Inquiry:
         """Return the state before all stages."""
-        return State(search, search, SearchResult(search.cache.base, search.cache.base))
+        return Inquiry(search, search, SearchResult(search.cache.base, search.cache.base))
 
-    def after(self, stages: Sequence[Stage]) -> State:
+    def after(self, stages: Sequence[Stage]) -> Inquiry:
         """Return the state after stages; where Ctrl-C or the time limit ends one, that before it."""
         state = self
         for stage in stages:
@@ -89,7 +89,7 @@ class State:
                 state = replace(state, interrupted=True)
         return state
 
-    def searched(self, search: Search) -> State:
+    def searched(self, search: Search) -> Inquiry:
         """Return the state with what another search finds."""
         result = search.run()
         return replace(self, search=search, result=result, interrupted=result.interrupted)
@@ -110,7 +110,7 @@ class State:
         return replace(extension, added=(*(c.name for c in self.changes), *extension.added), gain=gain)
 
 
-Stage = Callable[[State], State]
+Stage = Callable[[Inquiry], Inquiry]
 
 
 def stages(listed: Callable[[Refit], Sequence[Candidate]], differ: bool) -> list[Stage]:
@@ -132,7 +132,7 @@ def stages(listed: Callable[[Refit], Sequence[Candidate]], differ: bool) -> list
 def _optional(stage: Stage) -> Stage:
     """Return a stage without which a diagnosis goes on: where a fit of it fails nothing is found."""
 
-    def tried(state: State) -> State:
+    def tried(state: Inquiry) -> Inquiry:
         try:
             return stage(state)
         except (PhugoidError, np.linalg.LinAlgError):
@@ -141,7 +141,7 @@ def _optional(stage: Stage) -> Stage:
     return tried
 
 
-def ranked(state: State) -> State:
+def ranked(state: Inquiry) -> Inquiry:
     """Return the state with the first scan."""
     # Now, while what the search needs next is at hand.
     cache = state.search.cache
@@ -172,7 +172,7 @@ def ranking_of(search: Search, scan: Scan) -> list[Scored]:
     return found
 
 
-def _proposed(listed: Callable[[Refit], Sequence[Candidate]], state: State) -> State:
+def _proposed(listed: Callable[[Refit], Sequence[Candidate]], state: Inquiry) -> Inquiry:
     """Have candidates tried that first order about short segments of the records proposes, where the model is far from
     the records."""
     near = short_segments(state.search.cache.base)
@@ -181,7 +181,7 @@ def _proposed(listed: Callable[[Refit], Sequence[Candidate]], state: State) -> S
     return state
 
 
-def _with_recorded_inputs(state: State) -> State:
+def _with_recorded_inputs(state: Inquiry) -> Inquiry:
     """Have all else sought with inputs as they act, one after the other."""
     following = state
     while True:
@@ -191,7 +191,7 @@ def _with_recorded_inputs(state: State) -> State:
             return following
 
 
-def _with_recorded_input(state: State) -> State:
+def _with_recorded_input(state: Inquiry) -> Inquiry:
     found = _recorded_input(state.search)
     if found is None:
         return state
@@ -222,7 +222,7 @@ def _recorded_input(search: Search) -> RecordedInput | None:
     return found if best < cache.base.merit + needed else None
 
 
-def _with_inputs_as_recorded(state: State) -> State:
+def _with_inputs_as_recorded(state: Inquiry) -> Inquiry:
     """Return what a search on the records as they are finds, where what was found is likelier with their inputs than
     with those that were thought to act: half a sample of an input does a little of what many causes do."""
     first, search, result = state.first, state.search, state.result
@@ -240,7 +240,7 @@ def _with_inputs_as_recorded(state: State) -> State:
     return replace(again, inputs=()) if merit > result.final.merit - search.chances(result.final) else state
 
 
-def _with_record_changes(state: State) -> State:
+def _with_record_changes(state: Inquiry) -> Inquiry:
     """Return what the search finds once more with what differs from record to record, where that is likelier than what
     was found."""
     search, cache = state.search, state.search.cache
@@ -257,7 +257,7 @@ def _with_record_changes(state: State) -> State:
     return replace(state.searched(again), changes=tuple(changes), unchanged=search)
 
 
-def _with_inputs_as_sampled(state: State) -> State:
+def _with_inputs_as_sampled(state: Inquiry) -> Inquiry:
     """Return what the search finds once more with inputs between samples as the outputs tell, where these say that they
     jumped there."""
     search, full = state.search, state.result.full
@@ -276,7 +276,7 @@ def _with_inputs_as_sampled(state: State) -> State:
     return replace(state.searched(search.on(base, found.on(cache.validation, cache.biases))), sampled=found)
 
 
-def _with_remainder(state: State) -> State:
+def _with_remainder(state: Inquiry) -> Inquiry:
     """Return the state with what is left beside the terms of a search, which fall where they stand in for it."""
     search, result = state.search, state.result
     remainder = remainder_of(search, result)
@@ -295,7 +295,7 @@ def _with_remainder(state: State) -> State:
     return replace(state, result=result, remainder=remainder)
 
 
-def _without_stand_ins(state: State) -> State:
+def _without_stand_ins(state: Inquiry) -> Inquiry:
     result, remainder = without_stand_ins(state.search, state.result, state.remainder)
     return replace(state, result=result, remainder=remainder)
 

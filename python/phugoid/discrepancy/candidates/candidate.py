@@ -211,6 +211,13 @@ class Effect(Candidate):
         centre = 0.0 if abs(centre) < _ZERO * span else round(centre, 3 - math.floor(math.log10(span)))
         return self._about({name: centre})
 
+    @property
+    def is_apt(self) -> bool:
+        """Whether the variable has values about the centre: on one side of a kink the effect is another one."""
+        if self.family not in _KINKED:
+            return all(self.scales.is_near(name, self.scales.centre(name)) for name in self.variables)
+        return all(self.scales.is_inside(name, self.scales.centre(name)) for name in self.variables)
+
     def _about(self: _Self, centres: Mapping[str, float]) -> _Self:
         scales = self.scales
         return self.on(replace(scales, trim={**scales.trim, **centres}, moved=scales.moved | centres.keys()))

@@ -162,7 +162,7 @@ class RefitCache:
                 break
             farthest = _FARTHEST_CENTRE * span
             moved = candidate.moved(float(np.clip(step * seen.amplitudes[0][0] / amplitude, -farthest, farthest)))
-            if not moved.scales.is_near(name, moved.scales.centre(name)):
+            if not moved.is_apt:
                 break
             self.watch(f"fitting with {candidate.name} about another trim")
             found = refit(self.base.fit, [*others, moved], {}, at.fit, self.base.linear.points)

@@ -216,8 +216,10 @@ def _function(
             if named is not None and {*named.names} <= {*full.names}:
                 return None  # it has been found
             nan, explained = float("nan"), found.explained
+            # Over the model with none of what it stands in the place of.
+            gain = found.fitted.merit - found.unknowns - found.without.merit
             return Remainder(
-                found.curve, found.without, found.gain, nan, explained=explained, fitted=found.fitted, known=named
+                found.curve, found.without, gain, nan, explained=explained, fitted=found.fitted, known=named
             )
     return None
 

@@ -409,7 +409,7 @@ def test_states_that_no_output_measures_are_found() -> None:
         ({"biases": ["bb"]}, ModelError, "Did you mean 'b'"),
         ({"biases": ["sigma_x"]}, ModelError, "belongs to the noise"),
         ({"biases": ["b"], "values": {"b": 1.0}}, OptionError, "leave one out"),
-        ({"values": {"K": 1.0}}, ModelError, "no parameter.*Did you mean 'k'"),
+        ({"values": {"K": 1.0}}, ModelError, "not a parameter.*Did you mean 'k'"),
         ({"values": {"k": "much"}}, OptionError, "value of 'k' is 'much'"),
         ({"values": 3.0}, OptionError, "by parameter"),
         ({"tolerances": {"z": 1.0}}, OptionError, "not an output"),

@@ -171,10 +171,10 @@ class Objective:
             metric[:p, :p] = information.reshape(p, p)
         for i, _, std in self.priors:
             metric[i, i] += 1 / std**2
-        diagonal = np.diag(metric)[:p]
+        diagonal = np.maximum(np.diag(metric)[:p], 0.0)  # rounding may leave less
         # A parameter without influence here, or collinear with others, must not make the metric singular.
         floor = np.where(diagonal > 0, 1e-9 * diagonal, 1 / np.where(z[:p] == 0, 1.0, z[:p]) ** 2)
-        metric[range(p), range(p)] += floor
+        metric[range(p), range(p)] = diagonal + floor
         noise = [2.0 * count for count in measured]
         noise += [2.0 * intervals / max(q * q, 1e-300) for q in z[self.intensities]]
         metric[range(p, n), range(p, n)] = noise

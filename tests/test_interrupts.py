@@ -199,7 +199,7 @@ def test_a_diagnosis_tells_what_is_known(here: Path) -> None:
 
 
 COMMAND = """
-from phugoid.cli import fit as commands
+from phugoid.cli import commands
 from phugoid.result import Fit
 from phugoid.cli import app
 def report(self, *rest, **more):

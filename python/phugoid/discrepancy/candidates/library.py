@@ -102,7 +102,7 @@ def candidates(
     >>> m.dynamics(w=-c*w + k*u)
     >>> m.outputs(w=w)
     >>> candidates(m, leave_out=("lag", "cube", "periodic", "delay")).names[:4]
-    ("w':bias", "w':w^2", "w':u^2", "w':w*u")
+    ("w':bias", "w':scale*w^2", "w':w^2", "w':u^2")
     """
     _check(model, trim, leave_out, equations, base)
     model.check()

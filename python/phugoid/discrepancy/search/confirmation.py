@@ -265,8 +265,11 @@ class Confirmation:
             (new,) = r.beside(others)
             if complexity(new) >= rank or not is_physical(r, new) or is_late(new, model):
                 return False
-            own, part = assess.gain(below, r), assess.explained(below, r)
-            if part is None or own <= assess.needed(r, new):
+            own = assess.gain(below, r)
+            if own <= assess.needed(r, new):
+                return False
+            part = assess.explained(below, r)  # what it explains takes a fit to the data held out
+            if part is None:
                 return False
             # More unknowns leave a little less of any misfit.
             allowed = max(self.settings.left * (1.0 - explained.part), self.settings.least)

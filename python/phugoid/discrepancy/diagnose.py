@@ -140,22 +140,22 @@ def diagnose(
             differ = records.segments is None and not (records.parts is not None and records.parts.several)
             about = partial(candidates_given, records.fit, candidates)
             state = Inquiry.begun(search).after(stages(about, differ))
-        told = _told(records, state, deadline)
+        reported = _reported(records, state, deadline)
     with interrupts():
-        notes = _all_notes(records, state, told, listed, free, unfitted)
+        notes = _all_notes(records, state, reported, listed, free, unfitted)
         # An input that is held is a finding; one that was sampled slowly is none, nor what comes of it.
         corrected = state.sampled is not None or any(b.kind == "cubic" for b in state.inputs)
         whole = records.parts.whole.fit if records.parts is not None else records.fit
         return DiagnosisResult(
             fit=state.search.cache.base.fit if corrected else whole,
-            findings=tuple(sorted(told.findings, key=lambda f: f.status == "minor")),
-            ranking=told.ranking,
+            findings=tuple(sorted(reported.findings, key=lambda f: f.status == "minor")),
+            ranking=reported.ranking,
             threshold=state.search.assessment.threshold(),
             notes=notes,
-            interrupted=told.interrupted,
+            interrupted=reported.interrupted,
             seconds=time.perf_counter() - started,
-            _extension=told.extension,
-            _full=told.full,
+            _extension=reported.extension,
+            _full=reported.full,
             _inputs=(*records.causes, *(b.cause for b in state.inputs if b.kind != "cubic")),
             _validation=tuple(state.search.cache.validation),
         )
@@ -163,7 +163,7 @@ def diagnose(
 
 @dataclass(frozen=True, eq=False)
 class _Records:
-    """What is searched: the records without the faults of their sensors, or parts of them.
+    """Hold what is searched: the records without the faults of their sensors, or parts of them.
 
     given     the fit to diagnose, of the records without these faults; ``fit``: of what is searched.
     base      the same, at an optimum; None where there is none.
@@ -184,12 +184,12 @@ class _Records:
 
     @property
     def causes(self) -> list[str]:
-        """Causes that were found in the samples themselves."""
+        """Return the causes that were found in the samples themselves."""
         return [f.cause for f in self.faults] + ([self.unsigned.cause] if self.unsigned is not None else [])
 
     @property
     def findings(self) -> list[Finding]:
-        """What is reported of these."""
+        """Return what is reported of these."""
         faults = [finding_of_sensor_fault(f) for f in self.faults]
         return faults + ([finding_of_unsigned_sensor(self.unsigned)] if self.unsigned is not None else [])
 
@@ -227,7 +227,7 @@ def _prepared(fit: FitResult, others: Sequence[Experiment], deadline: Deadline) 
 
 @dataclass(frozen=True, eq=False)
 class _Reported:
-    """What is reported of a state: findings, in their order, the extension by those that are kept, and that by all."""
+    """Hold what is reported: findings, in their order, the extension by those that are kept, and that by all."""
 
     findings: Sequence[Finding]
     ranking: tuple[Scored, ...]
@@ -239,7 +239,7 @@ class _Reported:
     ended: str
 
 
-def _told(records: _Records, state: Inquiry, deadline: Deadline) -> _Reported:
+def _reported(records: _Records, state: Inquiry, deadline: Deadline) -> _Reported:
     """Return what is reported of a state, with what more is to be worked out for that within the time limit."""
     search, result = state.search, state.result
     ended = deadline.ended() if state.interrupted else ""
@@ -341,22 +341,22 @@ def _with_optimum(fit: FitResult, candidates: Any) -> list[Refit]:
 def _all_notes(
     records: _Records,
     state: Inquiry,
-    told: _Reported,
+    reported: _Reported,
     listed: Sequence[Candidate],
     free: Sequence[str] | None,
     unfitted: str,
 ) -> tuple[str, ...]:
     """Return the notes: on the records, on the search, and on what it found."""
     search, final = state.search, state.result.final
-    scan = search.cache.scan(search.cache.base) if told.ranking or not told.ended else None
-    alone = [c.name for c in final.candidates if c.name not in told.kept.names]
+    scan = search.cache.scan(search.cache.base) if reported.ranking or not reported.ended else None
+    alone = [c.name for c in final.candidates if c.name not in reported.kept.names]
     others = () if unfitted else records.others
     return (
         *([records.restart.words] if records.restart is not None else []),
         *([unfitted] if unfitted else []),
-        *_notes(scan, final, listed, others, free, told.ended, search.settings.most),
+        *_notes(scan, final, listed, others, free, reported.ended, search.settings.most),
         *state.result.remarks,
-        *told.laws,
+        *reported.laws,
         *([_OF_THESE_RECORDS.format(", ".join(alone))] if alone else []),
         *words_of_inputs(state.inputs, state.sampled),
         *(each.note for each in (records.segments, records.parts, records.thin) if each is not None),

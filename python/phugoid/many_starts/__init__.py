@@ -38,6 +38,10 @@ __all__ = [
 _OPTIMA, _COLUMNS, _NUMBERS = 10, 4, 12
 
 
+def _of_all(count: int, done: int) -> str:
+    return f"{count}" + (f" ({100 * count / done:.3g} %)" if done else "")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Multistart:
     """The result of `multistart`.
@@ -205,10 +209,11 @@ class Multistart:
         entries = {"starts": f"{self.n}, all finished"}
         if self.status != "complete":
             entries["starts"] = f"{done} of {self.n} finished; the same call with the same journal goes on"
-        entries["converged"] = f"{len(converged)}" + (f" ({100 * len(converged) / done:.3g} %)" if done else "")
+        entries["converged"] = _of_all(len(converged), done)
         if len(ended) > len(converged):
-            share = f"{len(ended)} ({100 * len(ended) / done:.3g} %)"
-            entries["at an optimum"] = f"{share}, with those where the data do not determine all parameters"
+            entries["at an optimum"] = (
+                f"{_of_all(len(ended), done)}, with those where the data do not determine all parameters"
+            )
         if ended:
             iterations = [o.iterations for o in ended]
             entries["iterations"] = f"median {np.median(iterations):g}, most {max(iterations)}"

@@ -213,7 +213,7 @@ class Effect(Candidate):
 
     @property
     def is_apt(self) -> bool:
-        """Whether the variable has values about the centre: on one side of a kink the effect is another one."""
+        """Tell whether the variable has values about the centre: on one side of a kink the effect is another one."""
         if self.family not in _KINKED:
             return all(self.scales.is_near(name, self.scales.centre(name)) for name in self.variables)
         return all(self.scales.is_inside(name, self.scales.centre(name)) for name in self.variables)

@@ -1,4 +1,4 @@
-"""What a model may be missing at each of its places, by forms and effects that are known."""
+"""Make what a model may be missing at each of its places, by forms and effects that are known."""
 
 from __future__ import annotations
 
@@ -150,8 +150,8 @@ class Catalogue:
         yield from (term("damping", v, w) for v, w in combinations(states, 2) if w.rate)
         yield from (term("damping, rate first", v, w) for v, w in combinations(states, 2) if v.rate)
         inputs = [v for v in variables if v.kind == "input"]
-        yield from (term("effectiveness", v, w) for v in states if not v.rate for w in inputs)
         slow = [v for v in states if not v.rate]
+        yield from (term("effectiveness", v, w) for v in slow for w in inputs)
         yield from (
             term("effectiveness", v, w) for v, w in permutations(slow, 2) if self.structure.interact(place, v, w)
         )

@@ -89,7 +89,8 @@ def _minor(findings: Sequence[Finding]) -> str:
     open_ = [f.cause for f in findings if f.explained > AssessmentSettings.minor]
     text = ""
     if little:
-        text += f" Minor: {', '.join(little)}, significant, but less than 5 % of the misfit."
+        least = percent(AssessmentSettings.minor)
+        text += f" Minor: {', '.join(little)}, significant, but less than {least} of the misfit."
     if open_:
         what = "is significant, but what it explains" if len(open_) == 1 else "are significant, but what they explain"
         text += f" {', '.join(open_)} {what} of data held out may be chance."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 
@@ -180,21 +181,21 @@ class Search:
     def _centred(self, at: Refit) -> Refit:
         """Return the refit with its last function of a variable about the trim that the data ask for; without a term
         that was needed only since a function was about another trim, as a constant beside a square."""
-        last = at.candidates[-1]
-        # The square about another centre adds a linear term, which may be missing in its own right.
-        tried = [(at, last)] if getattr(last, "family", "") != "square" else []
-        for c in at.candidates:
-            for other in [o for o in at.candidates if added_by_centre(c, o)]:
-                fewer = self.cache.refit([o for o in at.candidates if o is not other], at.fit)
-                tried += [(fewer, c)] if fewer is not None else []
         square = self._as_square(at)
         if square is not None:
             return square
+        last = at.candidates[-1]
+        # The square about another centre adds a linear term, which may be missing in its own right.
+        tried = [(at, last)] if getattr(last, "family", "") != "square" else []
+        for c, other in [(c, o) for c in at.candidates for o in at.candidates if added_by_centre(c, o)]:
+            fewer = self.cache.refit([o for o in at.candidates if o is not other], at.fit)
+            tried += [(fewer, c)] if fewer is not None else []
+        least = at.merit - self.settings.same
         for begun, c in tried:
             found = self.cache.about_zero(begun, c) if begun is not at else None
-            if found is None or found.merit < at.merit - self.settings.same:
+            if found is None or found.merit < least:
                 found = self.cache.about_own_centre(begun, c, self.settings.centre, at.own.filter)
-            if found is not begun and found.merit > at.merit - self.settings.same:
+            if found is not begun and found.merit > least:
                 assert isinstance(c, Effect)
                 self.cache.adopt(found, c)
                 return found
@@ -203,21 +204,18 @@ class Search:
     def _as_square(self, at: Refit) -> Refit | None:
         """Return the refit with the square of a variable in place of a constant and x|x| on one side of its trim, where
         it is as good: both are a square."""
-        bent = [c for c in at.candidates if isinstance(c, Effect) and c.family == "quadratic"]
-        for constant in [c for c in at.candidates if getattr(c, "family", "") == "bias"]:
-            for c in bent:
-                squares = [
-                    o
-                    for o in self.cache.candidates
-                    if isinstance(o, Effect)
-                    and (o.family, o.place, o.variables) == ("square", c.place, c.variables)
-                    and o.name not in at.names
-                ]
-                for square in squares[:1]:
-                    others = [o for o in at.candidates if o is not c and o is not constant]
-                    found = self.cache.refit([*others, square], at.fit)
-                    if found is not None and found.merit > at.merit - self.settings.same:
-                        return found
+        effects = [c for c in at.candidates if isinstance(c, Effect)]
+        for constant, bent in product(effects, effects):
+            if (constant.family, bent.family) != ("bias", "quadratic"):
+                continue
+            wanted = "square", bent.place, bent.variables
+            known = [c for c in self.cache.candidates if isinstance(c, Effect) and c.name not in at.names]
+            square = next((c for c in known if (c.family, c.place, c.variables) == wanted), None)
+            if square is None:
+                continue
+            found = self.cache.refit([*at.beside([constant, bent]), square], at.fit)
+            if found is not None and found.merit > at.merit - self.settings.same:
+                return found
         return None
 
     def _plain(self, at: Refit) -> Refit | None:
@@ -291,8 +289,8 @@ class Search:
         return at
 
     def _preferred(self, at: Refit, names: Collection[str]) -> Refit:
-        """Return the refit with the most plausible of causes that are the same but for rounding, on which it must not
-        depend which one is named; and with causes that are likelier beside what came later, and no richer."""
+        """Return the refit with the most plausible of causes that are the same but for rounding, so that rounding does
+        not decide which is named; and with causes that are likelier beside what came later, and no richer."""
         for name in names:
             candidate = next(c for c in at.candidates if c.name == name)
             others = [c for c in at.candidates if c is not candidate]
@@ -315,7 +313,8 @@ class Search:
     def _named(self, full: Refit) -> Refit:
         """Return the refit with causes that are named only.
 
-        Of terms that are no cause that is left out first which is needed least: beside it another may look needless.
+        Among terms that are no cause, the one that is needed least is left out first: beside it another may look
+        needless.
         """
         at = full
         while True:

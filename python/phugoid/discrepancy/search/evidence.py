@@ -16,14 +16,7 @@ from ..candidates.model_structure import addends
 from ..candidates.scales import evaluated
 from ..candidates.terms import Periodic
 from .free_run import Explained, Misfitting, Simulated
-from .refit import (
-    HeldOut,
-    LeftOut,
-    Refit,
-    across_blocks,
-    gain_on_other_data,
-    is_structured,
-)
+from .refit import HeldOut, LeftOut, Refit, across_blocks, gain_on_other_data, is_structured
 from .refit_cache import RefitCache
 from .ringing import is_near, wandering
 from .screen import RICH, complexity
@@ -225,7 +218,7 @@ class Assessment:
         new = more.beside(base.candidates)
         others = self._cache.on_validation(base)
         if others is None or not all(c.transferable for c in new):
-            return across_blocks(base, more, new)
+            return across_blocks(base, more)
         mine = self._cache.on_validation(more, others)
         return HeldOut(-np.inf, 0.0, -np.inf) if mine is None else gain_on_other_data(others, mine)
 
@@ -294,8 +287,9 @@ class Assessment:
         parameters are ``common`` to the blocks where a drift of one is in question, which own values would hide."""
         key = more, ("all",) if common else tuple(c.name for c in more.beside(base.candidates))
         if key not in self._blocks:
-            blocks = LeftOut.of(more, more.own.filter, more.beside(base.candidates))
-            self._blocks[key] = Simulated.of(more.linear, blocks.common if common else blocks.plain)
+            left = LeftOut(more, more.own.filter)
+            errors = left.common if common else left.plain(more.beside(base.candidates))
+            self._blocks[key] = Simulated.of(more.linear, errors)
         return self._blocks[key]
 
     def predicts(self, held: HeldOut) -> bool:
@@ -393,7 +387,7 @@ def is_plausible(at: Refit, candidate: Candidate, explained: Explained | None) -
 
 
 # Families with a size that says nothing where its error is larger: such a lag or limit holds an input where it was.
-_SIZED = ("lag", "rate_limit", "backlash", "deadband", "saturation", "sensor_lag")
+_SIZED = ("lag", "rate_limit", "backlash", "deadband", "saturation")
 
 
 def is_determined(at: Refit, candidate: Candidate) -> bool:

@@ -194,17 +194,20 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, unit: str) -> 
             f"{h.name} is held between its samples, as commands of a computer are, and not linear (zero-order hold)"
         )
         advice = f"Give the records with interpolation={{'{h.name}': 'hold'}}; the rest of the search used this."
-    rate, error = (h.clock.rate, h.clock.error) if h.clock is not None else (nan, nan)
-    label, half = h.cause.replace(":", "_"), _INTERVAL * error
+    label = h.cause.replace(":", "_")
+    parameters = {label: (h.clock.rate, h.clock.error)} if h.clock is not None else {}
+    units = dict.fromkeys(parameters, "s/s")
+    rate, error = parameters.get(label, (nan, nan))
+    half = _INTERVAL * error
     return Finding(
         cause=h.cause,
         status="named",
         coefficient=rate,
         std_error=error,
         interval=(rate - half, rate + half),
-        unit="s/s" if h.clock is not None else "",
-        parameters={label: (rate, error)} if h.clock is not None else {},
-        units={label: "s/s"} if h.clock is not None else {},
+        unit=units.get(label, ""),
+        parameters=parameters,
+        units=units,
         gain=h.gain,
         held_out_gain=h.held_out.gain if h.held_out else nan,
         threshold=threshold,

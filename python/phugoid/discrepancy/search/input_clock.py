@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
+from ...data.filtering import interpolated
 from ...sensitivities import Place
 from ...sensitivities.whitened import Whitened
 from .refit import Refit, fitted_to
@@ -38,7 +40,6 @@ class InputClock:
     names  of the inputs.
     late   s.
     rate   s per s; ``error``: its standard error.
-    gain   in log-likelihood over inputs that are late by a constant time.
     until  s, how late inputs are at the end of the longest record.
     """
 
@@ -46,7 +47,6 @@ class InputClock:
     late: float = 0.0
     rate: float = 0.0
     error: float = float("nan")
-    gain: float = 0.0
     until: float = 0.0
 
     def on(self, data: Sequence[Experiment]) -> list[Experiment]:
@@ -71,11 +71,9 @@ class InputClock:
 
 
 def _at(e: Experiment, name: str, t: _Array) -> _Array:
-    """Return an input of a record at times (N,)."""
+    """Return an input of a record at times (N,); beyond its ends the values there."""
     at, u = e.samples(name)
-    if e.interpolation_of(name) == "hold":
-        return np.asarray(u[np.clip(np.searchsorted(at, t, side="right") - 1, 0, u.size - 1)])
-    return np.asarray(np.interp(t, at, u))
+    return interpolated("hold" if e.interpolation_of(name) == "hold" else "linear", at, u, np.clip(t, at[0], at[-1]))
 
 
 def input_clock(
@@ -91,13 +89,11 @@ def input_clock(
     delayed = _settled(base, middle, data, None, False)
     before = max(base.merit, delayed[1].merit if delayed is not None else -np.inf)
     clock, refit = both
-    gain = refit.merit - before
-    if gain < least:
+    if refit.merit - before < least:
         return None
     step = _step(refit, refit.own, clock, data, True)
-    error = step[1] if step is not None else float("nan")
-    until = clock.late + clock.rate * _duration(data)
-    return replace(clock, gain=gain, error=error, until=until), refit
+    error = step.error if step is not None else float("nan")
+    return replace(clock, error=error, until=clock.late + clock.rate * _duration(data)), refit
 
 
 def _duration(data: Sequence[Experiment]) -> float:
@@ -117,11 +113,11 @@ def _settled(
     best: tuple[InputClock, Refit] | None = None
     for k in range(_ITERATIONS):
         step = _step(at, Whitened(at.linear, white_noise(at.linear)), clock, data, rate)
-        if step is None or (k == 0 and least is not None and step[2] < max(least, 0.5 * _SHARE * at.linear.n_rows)):
+        if step is None or (k == 0 and least is not None and step.gain < max(least, 0.5 * _SHARE * at.linear.n_rows)):
             break
         farthest = _FARTHEST * interval
-        late = float(np.clip(step[0][0], -farthest, farthest))
-        more = float(np.clip(step[0][1], -farthest / duration, farthest / duration)) if rate else 0.0
+        late = float(np.clip(step.late, -farthest, farthest))
+        more = float(np.clip(step.rate, -farthest / duration, farthest / duration))
         clock = replace(clock, late=clock.late + late, rate=clock.rate + more)
         found = fitted_to(base, clock.on(data), start=at.fit)
         if found is None:
@@ -134,11 +130,18 @@ def _settled(
     return best
 
 
-def _step(
-    at: Refit, seen: Whitened, clock: InputClock, data: Sequence[Experiment], rate: bool
-) -> tuple[_Array, float, float] | None:
-    """Return by how much the delay (and the rate) of a clock are to change, to first order about a fit; the standard
-    error of the rate; and the gain in log-likelihood. None where that does nothing."""
+class _Step(NamedTuple):
+    """A change of a clock, in s and s per s; the standard error of its rate; and the gain in log-likelihood."""
+
+    late: float
+    rate: float
+    error: float
+    gain: float
+
+
+def _step(at: Refit, seen: Whitened, clock: InputClock, data: Sequence[Experiment], rate: bool) -> _Step | None:
+    """Return by how much the delay (and the rate) of a clock are to change, to first order about a fit; None where that
+    does nothing."""
     linear, interval, duration = at.linear, _interval(data), _duration(data)
     moved = [replace(clock, late=clock.late + interval)]
     if rate:
@@ -160,4 +163,5 @@ def _step(
     by = np.linalg.solve(gram, along)
     unit = np.array([interval, interval / duration])[: len(moved)]
     error = float(np.sqrt(np.linalg.inv(gram)[-1, -1]) * unit[-1])
-    return by * unit, error, 0.5 * float(along @ by)
+    late, more = np.append(by * unit, 0.0)[:2].tolist()
+    return _Step(late, more, error, 0.5 * float(along @ by))

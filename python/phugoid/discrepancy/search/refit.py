@@ -235,57 +235,67 @@ class HeldOut(NamedTuple):
     elsewhere: float
 
 
-def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> HeldOut:
+def across_blocks(base: Refit, more: Refit) -> HeldOut:
     """Gain in whitened log-likelihood of the blocks of the records, each predicted by what the others say of all
-    parameters, the new candidates' among them (`LeftOut`)."""
-    without, with_new = (LeftOut.of(at, more.own.filter, ()).whitened for at in (base, more))
-    gain = np.zeros(base.linear.n_measured)  # a late sensor leaves some samples out
-    gain[base.linear.measured_rows] += 0.5 * without**2
-    gain[more.linear.measured_rows] -= 0.5 * with_new**2
-    there = np.zeros(gain.size, dtype=bool)
-    there[np.intersect1d(base.linear.measured_rows, more.linear.measured_rows)] = True
-    block = np.zeros(gain.size, dtype=np.intp)
+    parameters (`LeftOut`), with the candidates that a refit has more."""
+    squares = np.full((2, base.linear.n_measured), np.nan)  # a late sensor leaves some samples out
+    block = np.zeros(base.linear.n_measured, dtype=np.intp)
     block[base.linear.measured_rows] = blocks_of(base.linear)
-    gain, block = gain[there], block[there]
+    for own, at in zip(squares, (base, more), strict=True):
+        own[at.linear.measured_rows] = LeftOut(at, more.own.filter).whitened ** 2
+    gain = 0.5 * (squares[0] - squares[1])
+    gain, block = gain[there := np.isfinite(gain)], block[there]
     total = float(gain.sum())
     best = max(float(gain[block == b].sum()) for b in range(BLOCKS))
     return HeldOut(total, float(np.sqrt(gain.size) * gain.std()), total - best)
 
 
-@dataclass(frozen=True, eq=False)
 class LeftOut:
     """Errors of the blocks of the records, each predicted by the others, to first order about the fit to all: the step
-    that takes out what a block says of the parameters.
+    that takes out what a block says of the parameters. They may follow by ten standard errors."""
 
-    whitened  (n_rows,) with all parameters as the others have them. They may follow by ten standard errors.
-    plain     (n_rows,) in the units of the outputs, with the coefficients of some candidates as the others have them
-              and all else as it fits the block best.
-    common    (n_rows,) the same with all parameters as the others have them.
-    """
+    def __init__(self, at: Refit, filter: Filter) -> None:
+        self._seen = at.own if filter is at.own.filter else at.through(filter)
+        self._scale, self._block = at.linear.scale(), blocks_of(at.linear)
 
-    whitened: _Array
-    plain: _Array
-    common: _Array
+    @cached_property
+    def _steps(self) -> list[tuple[NDArray[np.bool_], _Array]]:
+        """Return the rows (n_rows,) of each block, and the step along the basis that the others ask for."""
+        basis, errors, found = self._seen.basis, self._seen.errors, []
+        for b in range(BLOCKS):
+            inside = self._block == b
+            others = basis[~inside]
+            normal = others.T @ others + _LOOSE * np.eye(basis.shape[1])
+            found.append((inside, np.linalg.solve(normal, others.T @ errors[~inside])))
+        return found
 
-    @staticmethod
-    def of(at: Refit, filter: Filter, held: Sequence[Candidate]) -> LeftOut:
-        """Return the errors of a refit's blocks through a filter; the coefficients of ``held`` are the others'."""
-        seen = at.own if filter is at.own.filter else at.through(filter)
-        scale, block, basis = at.linear.scale(), blocks_of(at.linear), seen.basis
-        fixed = np.array([seen.direction(n) for c in held for n in c.parameters]).reshape(-1, basis.shape[1])
+    @property
+    def whitened(self) -> _Array:
+        """Return the errors (n_rows,), whitened, with all parameters as the others have them."""
+        out = self._seen.errors.copy()
+        for inside, step in self._steps:
+            out[inside] -= self._seen.basis[inside] @ step
+        return out
+
+    @property
+    def common(self) -> _Array:
+        """Return the same in the units of the outputs."""
+        out = self._seen.residuals.copy()
+        for inside, step in self._steps:
+            out[inside] -= self._seen.plain_basis[inside] @ step
+        return out
+
+    def plain(self, held: Sequence[Candidate]) -> _Array:
+        """Return the same with the coefficients of candidates as the others have them, and all else as it fits the
+        block best."""
+        out, scale, size = self.common, self._scale, self._seen.basis.shape[1]
+        fixed = np.array([self._seen.direction(n) for c in held for n in c.parameters]).reshape(-1, size)
         # Directions of the parameters in which the coefficients stay.
         free = np.linalg.svd(fixed)[2][np.linalg.matrix_rank(fixed) if fixed.size else 0 :].T
-        white, plain, common = seen.errors.copy(), seen.residuals.copy(), seen.residuals.copy()
-        for b in range(BLOCKS):
-            inside = block == b
-            others = basis[~inside]
-            step = np.linalg.solve(others.T @ others + _LOOSE * np.eye(basis.shape[1]), others.T @ seen.errors[~inside])
-            white[inside] -= basis[inside] @ step
-            moves = seen.plain_basis[inside]
-            common[inside] -= moves @ step
-            rest, own = common[inside] / scale[inside], moves @ free / scale[inside, None]
-            plain[inside] = scale[inside] * (rest - own @ np.linalg.lstsq(own, rest, rcond=_RANK)[0])
-        return LeftOut(white, plain, common)
+        for inside, _ in self._steps:
+            rest, own = out[inside] / scale[inside], self._seen.plain_basis[inside] @ free / scale[inside, None]
+            out[inside] = scale[inside] * (rest - own @ np.linalg.lstsq(own, rest, rcond=_RANK)[0])
+        return out
 
 
 def blocks_of(linear: Linearised) -> NDArray[np.intp]:

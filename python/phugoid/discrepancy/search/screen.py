@@ -136,8 +136,9 @@ class ScreenSettings:
                         power to first order, or more, whatever coloured noise makes of them.
     hopeless            what is this far below its threshold, by the filter of the fit and by the clean one, is not
                         refitted.
-    evident             a parameter may be thought to jump, which no other record confirms, where this part of the
-                        residuals' power is predictable.
+    evident             part of the residuals' power that is predictable from which on what does much is sought: a
+                        parameter that jumps, which no other record confirms; and, of what acts alike to first order,
+                        terms at other places and other functions of a variable.
     same                two effects on the outputs are the same beyond this cosine: one stands for both.
     alias               beyond this one they are aliases, whatever their refits say.
     """

@@ -48,7 +48,7 @@ _BEYOND = 1.25
 
 @dataclass(frozen=True, eq=False)
 class Inquiry:
-    """What is known of a misfit.
+    """Hold what is known of a misfit.
 
     first        the search on the records as they are.
     search       the search as it stands, with the data as they were found to be.
@@ -100,12 +100,11 @@ class Inquiry:
         if self.unchanged is None:
             return extension
         base, gain = self.unchanged.cache.base, extension.gain
-        before = self.unchanged.extension(base, known=self.interrupted).gain
         gain = replace(
             gain.as_fitted(base.fit, at.fit, base.linear.n_rows),
             log_likelihood_whitened=gain.log_likelihood_whitened + sum(c.gain for c in self.changes),
-            rms_before=before.rms_before,
-            held_out_rms_before=before.held_out_rms_before,
+            rms_before=base.rms,
+            held_out_rms_before=self.unchanged.assessment.held_out_rms(base, self.interrupted),
         )
         return replace(extension, added=(*(c.name for c in self.changes), *extension.added), gain=gain)
 

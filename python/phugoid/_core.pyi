@@ -354,6 +354,8 @@ def newton(
 ) -> NewtonSolution: ...
 
 @final
+def burg(runs: list[_Array]) -> tuple[list[_Array], _Array]: ...
+
 class Whitening:
     def __new__(
         cls,

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+import phugoid._core as _core
+
 from . import Series
 
 __all__ = [
@@ -31,16 +33,6 @@ __all__ = [
 
 _Array = NDArray[np.float64]
 
-# The greatest order.
-_LONGEST = 12
-# Samples for each coefficient, and samples whose lags are all there for each.
-_SAMPLES_EACH, _PAIRS_EACH = 10, 5
-# Of all samples, the part whose lags are all there: of a record in tatters little can be said.
-_TATTERS = 4
-# A reflection coefficient this near to 1 is as good as a unit root: the filter stays invertible.
-_EDGE = 1.0 - 1e-6
-# What is left of the variance where the next sample is known from those before it: rounding.
-_EXACT = 1e-14
 # Steps of a recursion that are taken at once.
 _BLOCK = 64
 
@@ -161,32 +153,8 @@ def burg(runs: Sequence[_Array]) -> Autoregression:
     there for a quarter of the samples. What an order gains counts for the samples that have its lags: where there are
     gaps, few have long ones. The mean is not removed, for that of residuals should be zero.
     """
-    n = sum(run.shape[-1] for run in runs)
-    power = sum(_product(run, run) for run in runs) / max(n, 1)
-    predictors, powers = [np.empty(0)], [power]
-    forward, backward = list(runs), list(runs)
-    best, bic, best_bic = 0, 0.0, 0.0
-    for p in range(1, min(_LONGEST, n // _SAMPLES_EACH) + 1):
-        # Runs that are shorter than the lags say nothing more.
-        pairs = [(f[..., 1:], b[..., :-1]) for f, b in zip(forward, backward, strict=True) if f.shape[-1] > 1]
-        size = sum(_product(f, f) + _product(b, b) for f, b in pairs)
-        count = sum(f.shape[-1] for f, _ in pairs)
-        if size <= 0.0 or count < max(n // _TATTERS, _PAIRS_EACH * p):
-            break
-        k = float(np.clip(2.0 * sum(_product(f, b) for f, b in pairs) / size, -_EDGE, _EDGE))
-        predictors.append(np.r_[predictors[-1] - k * predictors[-1][::-1], k])
-        powers.append(powers[-1] * (1.0 - k * k))
-        forward, backward = [f - k * b for f, b in pairs], [b - k * f for f, b in pairs]
-        bic += count * math.log1p(-k * k) + math.log(n)
-        if bic < best_bic:
-            best, best_bic = p, bic
-        if abs(k) == _EDGE or powers[-1] <= _EXACT * power:  # as a constant and a pure sine are
-            break
-    return Autoregression(tuple(predictors[: best + 1]), np.array(powers[: best + 1]))
-
-
-def _product(a: _Array, b: _Array) -> float:
-    return float(a @ b) if a.ndim == 1 else float(np.einsum("ij,ij->", a, b))
+    predictors, powers = _core.burg(list(runs))
+    return Autoregression(tuple(predictors), powers)
 
 
 class CorrelatedNoise:

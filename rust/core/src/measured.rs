@@ -7,6 +7,9 @@ use crate::condition::End;
 use crate::experiment::Experiment;
 use crate::model::{Model, TIME};
 
+/// Samples of an output from which a state is worked out, at most.
+const MOST: usize = 2000;
+
 /// An output that measures a state: z = offset + slope · x.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
@@ -58,6 +61,53 @@ impl Model {
             numbers.remove(name);
         }
         found
+    }
+
+    /// Samples of a state that no output measures by itself: of an output on which it acts linearly, beside states that
+    /// are known, inputs and time, such as a vane ahead of the centre of gravity, alpha - l q / V. `known` holds the
+    /// others at the samples, where they are. Times and values; none where there is no such output.
+    pub(crate) fn measured_beside_others(
+        &self,
+        state: usize,
+        experiment: &Experiment,
+        parameters: &[f64],
+        known: &[Option<Vec<f64>>],
+    ) -> Option<(Vec<f64>, Vec<f64>)> {
+        let name: Arc<str> = self.states[state].name.as_str().into();
+        let number = |s: &str| self.states.iter().position(|x| x.name == s);
+        let mut numbers = self.values(parameters);
+        let step = experiment.t.len().div_ceil(MOST);
+        for (output, expr) in self.expanded().1.iter().enumerate() {
+            let symbols = expr.symbols();
+            let slope = expr.derivative(&name);
+            let others = symbols.iter().filter_map(|s| number(s)).filter(|&i| i != state);
+            let others: Vec<usize> = others.collect();
+            if !symbols.contains(&name)
+                || slope.symbols().contains(&name)
+                || others.iter().any(|&i| known[i].is_none())
+            {
+                continue;
+            }
+            numbers.insert(name.clone(), 0.0);
+            let mut at = |j: usize| {
+                numbers.insert(TIME.into(), experiment.t[j]);
+                for (input, values) in self.inputs.iter().zip(&experiment.inputs) {
+                    numbers.insert(input.name.as_str().into(), values[j]);
+                }
+                for &i in &others {
+                    numbers.insert(self.states[i].name.as_str().into(), known[i].as_ref()?[j]);
+                }
+                let (rest, slope) = (expr.evaluate(&numbers).ok()?, slope.evaluate(&numbers).ok()?);
+                let value = (experiment.outputs[output][j] - rest) / slope;
+                value.is_finite().then_some((experiment.t[j], value))
+            };
+            let found: (Vec<f64>, Vec<f64>) =
+                (0..experiment.t.len()).step_by(step).filter_map(&mut at).unzip();
+            if !found.0.is_empty() {
+                return Some(found);
+            }
+        }
+        None
     }
 
     /// For each state, where it starts if that is declared, or follows from an initial condition and these parameters.

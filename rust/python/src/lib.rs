@@ -36,6 +36,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<fit::PyFit>()?;
     m.add_class::<newton::PySolution>()?;
     m.add_class::<whitening::PyWhitening>()?;
+    m.add_function(wrap_pyfunction!(whitening::burg, m)?)?;
     m.add_function(wrap_pyfunction!(estimation::estimate, m)?)?;
     m.add_function(wrap_pyfunction!(estimation::unlike_noise, m)?)?;
     m.add_function(wrap_pyfunction!(fit::integration_error, m)?)?;

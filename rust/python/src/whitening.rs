@@ -1,12 +1,31 @@
 //! Residuals and sensitivities made white.
 
-use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
-use phugoid::internals::diagnosis::{Predictors, Whitening};
+use numpy::{
+    PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArrayDyn,
+    PyUntypedArrayMethods,
+};
+use phugoid::internals::diagnosis::{Predictors, Run, Whitening};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 type Channel<'py> =
     (Vec<PyReadonlyArray1<'py, f64>>, PyReadonlyArray1<'py, f64>, Vec<(usize, PyReadonlyArray1<'py, isize>)>);
+
+/// Autoregressive models, of order 0, 1, ..., of runs (n,), or (k, n) of k sequences of the same samples: their predictors,
+/// and the variances of these.
+#[pyfunction]
+pub fn burg<'py>(
+    py: Python<'py>,
+    runs: Vec<PyReadonlyArrayDyn<'py, f64>>,
+) -> (Vec<Bound<'py, PyArray1<f64>>>, Bound<'py, PyArray1<f64>>) {
+    let one = |run: &PyReadonlyArrayDyn<'py, f64>| Run {
+        values: run.as_array().iter().copied().collect(),
+        n: run.shape().last().copied().unwrap_or(0),
+    };
+    let runs = runs.iter().map(one).filter(|run| run.n > 0).collect();
+    let (predictors, powers) = py.detach(|| phugoid::internals::diagnosis::burg(runs));
+    (predictors.into_iter().map(|p| PyArray1::from_vec(py, p)).collect(), PyArray1::from_vec(py, powers))
+}
 
 /// Prediction errors of autoregressive models of channels.
 #[pyclass(name = "Whitening", module = "phugoid._core", frozen)]

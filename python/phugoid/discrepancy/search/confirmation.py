@@ -338,14 +338,15 @@ class Confirmation:
             if gain < 0.5 * whole and whole - gain > self.settings.far:
                 continue
             like = other.name in alike and gain > 0.5 * whole
-            explained = assess.explained(without, r)
+            if not like and float(d.sum()) >= self.settings.vuong * float(np.sqrt(d.size) * d.std()):
+                continue
+            explained = assess.explained(without, r)  # last, for it takes a fit to the data held out
             much = explained is None or own is None or explained.part > self.settings.alias * own.part
             if not (like and much) and assess.is_worse(without, r, at):
                 continue
-            if like or float(d.sum()) < self.settings.vuong * float(np.sqrt(d.size) * d.std()):
-                rivals[other.name] = gain
-                if explained is not None:
-                    parts[other.name] = explained.part
+            rivals[other.name] = gain
+            if explained is not None:
+                parts[other.name] = explained.part
         return Found(
             candidate,
             assess.gain(without, at) / 2,

@@ -345,11 +345,15 @@ def on_other_data(
     starts: list[FitResult | dict[str, float]] = [{n: float(np.mean(v)) for n, v in known.items() if v}]
     if near is not None:  # its path may be out of reach of this model: then the measured one
         starts.insert(0, _with_paths(started_from(near.fit, ()), refit.candidates, near.points, values))
+    # A model that is as far off with another path as it is near it has no better branch.
+    before = {} if near is None else Refit((), near.fit).rms
+    usual = {n: max(rms, before.get(n, 0.0)) for n, rms in refit.rms.items()}
     best: FitResult | None = None
     limit = max(_ELSEWHERE, _TIMES * fit.time)
     for start in starts:
-        # From where only first states are wrong few iterations lead to another branch.
-        solver = _SOLVER if best is not None else Newton(time_limit=limit)
+        # From another model's path, or where only first states are wrong, few iterations lead to this model's.
+        few = best is not None or start is not starts[-1]
+        solver = Newton(max_iterations=_ITERATIONS if few else _PATIENT, time_limit=limit)
         found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)
         if found.status == "time limit":
             check_time()  # that of the diagnosis
@@ -360,7 +364,7 @@ def on_other_data(
         if best is None or found.log_likelihood > best.log_likelihood:
             best = found
         # A motion may have several branches, and another model's path may lie near the wrong one.
-        if all(rms <= _FAR * refit.rms[n] for n, rms in Refit((), best).rms.items()):
+        if all(rms <= _FAR * usual[n] for n, rms in Refit((), best).rms.items()):
             break
     if best is None:
         raise DataError(f"diagnose: the model cannot be fitted to the validation record: {found.message}")

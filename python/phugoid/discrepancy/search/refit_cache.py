@@ -297,13 +297,15 @@ class RefitCache:
             self.on_validation(self.base)
 
     def on_validation(self, at: Refit, near: Linearised | None = None, known: bool = False) -> Linearised | None:
-        """Return the refit's model on the validation data, linearised, from another's path there; None without such
-        data, and where it cannot be fitted to them. With ``known`` only what was worked out before."""
+        """Return the refit's model on the validation data, linearised, from another's path there, by default that of the
+        base; None without such data, and where it cannot be fitted to them. With ``known`` only what was worked out
+        before."""
         if not self.validation or (known and frozenset(at.names) not in self._others):
             return None
         key = frozenset(at.names)
         if key not in self._others:
             try:
+                near = near or self._others.get(frozenset())
                 self._others[key] = on_other_data(at, self.validation, near, self._free(at))
             except PhugoidError:
                 if not key:

@@ -1,5 +1,6 @@
 //! Information, covariances and sensitivities at a solution.
 
+mod burg;
 mod covariance;
 mod forward;
 mod linearisation;
@@ -7,6 +8,7 @@ mod passage;
 mod response;
 mod whitening;
 
+pub use burg::{Run, burg};
 pub use covariance::{Information, NoInformation, information};
 pub use forward::Forward;
 pub use linearisation::{Linearisation, Outputs, Place};

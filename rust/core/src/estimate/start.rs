@@ -142,7 +142,8 @@ impl<'a> Given<'a> {
 
     /// Starting states of the experiment of this number at some times, `[state][time]`: as given, else the path of the
     /// fit, else as measured, else as declared ([`Variable::start`](crate::model::Variable), or an initial condition that
-    /// depends on parameters alone), else 0; within the bounds of the states. `parameters` holds those of the experiment.
+    /// depends on parameters alone), else as an output has it that measures it beside others, else 0; within the bounds of
+    /// the states. `parameters` holds those of the experiment.
     ///
     /// # Errors
     /// For a path that is not one finite value a sample.
@@ -179,13 +180,33 @@ impl<'a> Given<'a> {
                 (None, Some((t, x)), _) => interpolate(Interpolation::Cubic, t, x, times),
                 (None, None, m) => match m.as_ref().map(|m| m.samples(experiment)) {
                     Some((t, x)) if !t.is_empty() => at_times(&t, &x),
-                    _ => vec![declared[i].unwrap_or(0.0); times.len()],
+                    _ => match declared[i] {
+                        Some(v) => vec![v; times.len()],
+                        None => return Ok(None),
+                    },
                 },
             };
-            let (lower, upper) = state.bounds();
-            Ok(path.into_iter().map(|x| x.max(lower).min(upper)).collect())
+            Ok(Some(path))
         };
-        self.model.states.iter().enumerate().map(path).collect()
+        let states = &self.model.states;
+        let mut paths: Vec<Option<Vec<f64>>> =
+            states.iter().enumerate().map(path).collect::<Result<_, Error>>()?;
+        if paths.iter().any(Option::is_none) {
+            let at_samples = |p: &Option<Vec<f64>>| {
+                p.as_ref().map(|p| interpolate(Interpolation::Linear, times, p, &experiment.t))
+            };
+            let known: Vec<Option<Vec<f64>>> = paths.iter().map(at_samples).collect();
+            for (i, path) in paths.iter_mut().enumerate().filter(|(_, p)| p.is_none()) {
+                let found = self.model.measured_beside_others(i, experiment, parameters, &known);
+                *path = found.map(|(t, x)| at_times(&t, &x));
+            }
+        }
+        let within = |(path, state): (Option<Vec<f64>>, &Variable)| {
+            let (lower, upper) = state.bounds();
+            let path = path.unwrap_or_else(|| vec![0.0; times.len()]);
+            path.into_iter().map(|x| x.max(lower).min(upper)).collect()
+        };
+        Ok(paths.into_iter().zip(states).map(within).collect())
     }
 
     /// For each state, whether it is known where it starts: given, measured or declared.
@@ -201,7 +222,13 @@ impl<'a> Given<'a> {
     /// points they start at each of a few values at which all is finite. Empty where `xi` does, or where nothing helps.
     pub fn elsewhere(&self, problem: &dyn Transcribed, xi: &[f64], parameters: &[f64]) -> Vec<Vec<f64>> {
         let known = self.known(parameters);
-        let unknown: Vec<usize> = (0..known.len()).filter(|&i| !known[i]).collect();
+        // A path that an output gives varies.
+        let is_constant = |i: &usize| {
+            let mut path = xi[problem.layout().n_theta..].iter().skip(*i).step_by(known.len());
+            let first = path.next();
+            path.all(|x| Some(x) == first)
+        };
+        let unknown: Vec<usize> = (0..known.len()).filter(|&i| !known[i]).filter(is_constant).collect();
         let bounds: Vec<(f64, f64)> = self.model.states.iter().map(Variable::bounds).collect();
         let inside = unknown.iter().all(|&i| bounds[i].0 < 0.0 && 0.0 < bounds[i].1);
         if unknown.is_empty() || inside && is_finite(problem, xi) {

@@ -19,6 +19,7 @@ from matplotlib import pyplot as plt
 
 import phugoid as ph
 from phugoid import Collocation, DataError, Experiment, Fit, Gaussian, Ipopt, Model, Parameter, Sigma, estimate
+from phugoid.initialisation import parameter_start, state_start
 from phugoid.solvers import Iteration
 
 T = np.linspace(0.0, 10.0, 101)
@@ -147,6 +148,34 @@ def test_recovers_an_unstable_system_that_single_shooting_cannot_follow() -> Non
     assert fit.converged
     assert values(fit)["a"] == pytest.approx(3.0, rel=0.01)
     assert values(fit)["b"] == pytest.approx(1.0, rel=0.01)
+
+
+def vane() -> Model:
+    """Return a model whose angle of attack and airspeed are measured by sensors that other states act on, too."""
+    m = Model("vane")
+    V, alpha, q = m.states("V alpha q")
+    (de,) = m.inputs("de")
+    a, b = m.parameters("a b")
+    m.dynamics(V=-0.1 * (V - 50.0), alpha=q - 2.0 * alpha, q=a * alpha - 3.0 * q + b * de)
+    m.outputs(q=q, alpha_v=alpha - 4.0 * q / V, V_p=V * 1.02 + 0.5 * q)
+    return m
+
+
+def test_states_start_where_outputs_have_them_that_measure_others_as_well() -> None:
+    t = np.linspace(0.0, 5.0, 101)
+    true = {"V": 50.0 + 5.0 * np.exp(-0.1 * t), "alpha": 0.1 * np.sin(t), "q": 0.2 * np.cos(2.0 * t)}
+    outputs = {
+        "q": true["q"],
+        "alpha_v": true["alpha"] - 4.0 * true["q"] / true["V"],
+        "V_p": true["V"] * 1.02 + 0.5 * true["q"],
+    }
+    model = vane()
+    e = Experiment(t, {"de": np.zeros_like(t)}, outputs)
+    start = state_start(model, e, t, parameter_start(model, {}), {})
+    # q alone is measured by itself, V beside it, and alpha beside both.
+    np.testing.assert_allclose(start[0], true["V"], rtol=1e-12)
+    np.testing.assert_allclose(start[1], true["alpha"], atol=1e-12)
+    np.testing.assert_allclose(start[2], true["q"], atol=1e-12)
 
 
 def test_recovers_from_missing_samples() -> None:

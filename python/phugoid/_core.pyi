@@ -352,7 +352,6 @@ def newton(
     stop: Callable[[], bool] | None = None,
     paths: bool = False,
 ) -> NewtonSolution: ...
-
 @final
 def burg(runs: list[_Array]) -> tuple[list[_Array], _Array]: ...
 

@@ -297,9 +297,9 @@ class RefitCache:
             self.on_validation(self.base)
 
     def on_validation(self, at: Refit, near: Linearised | None = None, known: bool = False) -> Linearised | None:
-        """Return the refit's model on the validation data, linearised, from another's path there, by default that of the
-        base; None without such data, and where it cannot be fitted to them. With ``known`` only what was worked out
-        before."""
+        """Return the refit's model on the validation data, linearised, from another's path there, by default that of
+        the base; None without such data, and where it cannot be fitted to them. With ``known`` only what was worked
+        out before."""
         if not self.validation or (known and frozenset(at.names) not in self._others):
             return None
         key = frozenset(at.names)

@@ -191,15 +191,19 @@ impl<'a> Given<'a> {
         let states = &self.model.states;
         let mut paths: Vec<Option<Vec<f64>>> =
             states.iter().enumerate().map(path).collect::<Result<_, Error>>()?;
-        if paths.iter().any(Option::is_none) {
+        // One that is found may tell of another.
+        for _ in 0..states.len() {
+            let unknown = (0..states.len()).filter(|&i| paths[i].is_none()).collect::<Vec<_>>();
             let at_samples = |p: &Option<Vec<f64>>| {
                 p.as_ref().map(|p| interpolate(Interpolation::Linear, times, p, &experiment.t))
             };
-            let known: Vec<Option<Vec<f64>>> = paths.iter().map(at_samples).collect();
-            for (i, path) in paths.iter_mut().enumerate().filter(|(_, p)| p.is_none()) {
-                let found = self.model.measured_beside_others(i, experiment, parameters, &known);
-                *path = found.map(|(t, x)| at_times(&t, &x));
-            }
+            let known: Vec<Option<Vec<f64>>> =
+                if unknown.is_empty() { Vec::new() } else { paths.iter().map(at_samples).collect() };
+            let found = |&i: &usize| {
+                self.model.measured_beside_others(i, experiment, parameters, &known).map(|s| (i, s))
+            };
+            let Some((i, (t, x))) = unknown.iter().find_map(found) else { break };
+            paths[i] = Some(at_times(&t, &x));
         }
         let within = |(path, state): (Option<Vec<f64>>, &Variable)| {
             let (lower, upper) = state.bounds();

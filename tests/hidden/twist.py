@@ -46,6 +46,8 @@ class Twist:
     """Everything is left as it is unless set.
 
     force     (x, u, time) -> what is added to the derivatives.
+    place     state and the quantity in which the force on it stands, which sensors of that measure too; None where the
+              force stands in the equation.
     wind      time -> what is added to the states where forces and moments follow from them.
     acts      (u, memory, time) -> inputs as they act; memory is a dictionary of its own.
     drifts    time -> parameters.
@@ -58,6 +60,7 @@ class Twist:
     """
 
     force: Callable[[Any, Any, float], Any] | None = None
+    place: tuple[int, str] | None = None
     wind: Callable[[float], Any] | None = None
     acts: Callable[[list[float], dict[str, Any], float], list[float]] | None = None
     drifts: Callable[[float], Mapping[str, float]] | None = None

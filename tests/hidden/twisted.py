@@ -54,18 +54,28 @@ class _Motion:
     def quantities(self, now: float, z: np.ndarray, acting: list[float], p: Mapping[str, float]) -> dict[str, Any]:
         x, wind, attached = z[: self.n], self.twist.wind, self.twist.attached
         q = self.s.quantities(x + wind(now) if wind else x, acting, p)
+        if self.twist.force and self.twist.place:
+            i, place = self.twist.place
+            _, gain = self._slope(i, place, x, acting, q, p)
+            q[place] = q[place] + float(self.twist.force(x, acting, now)[i]) / gain
         if attached and attached.place:
             i, place = attached.equation, attached.place
-            rigid = float(self.s.dynamics(x, acting, q, p)[i])
-            gain = float(self.s.dynamics(x, acting, {**q, place: q[place] + 1.0}, p)[i]) - rigid
+            rigid, gain = self._slope(i, place, x, acting, q, p)
             q[place] = q[place] + attached.push(z, rigid) / gain
         return q
+
+    def _slope(
+        self, i: int, place: str, x: Any, acting: list[float], q: Mapping[str, Any], p: Mapping[str, float]
+    ) -> tuple[float, float]:
+        """Return the derivative of a state, and that of it by a quantity in which it is linear."""
+        rigid = float(self.s.dynamics(x, acting, q, p)[i])
+        return rigid, float(self.s.dynamics(x, acting, {**q, place: q[place] + 1.0}, p)[i]) - rigid
 
     def rhs(self, now: float, z: np.ndarray, acting: list[float]) -> np.ndarray:
         x, p, attached = z[: self.n], self.parameters(now), self.twist.attached
         q = self.quantities(now, z, acting, p)
         f = np.array([float(v) for v in self.s.dynamics(x, acting, q, p)])
-        if self.twist.force:
+        if self.twist.force and not self.twist.place:
             f = f + self.twist.force(x, acting, now)
         if not attached:
             return f

@@ -42,6 +42,12 @@ MODES = {
 }
 """Say where a flexible part is attached: the state that it moves with, and the quantity in its equation."""
 
+FORCES = {
+    ("duffing", "v"): "f", ("servo", "rate"): "torque", ("hfb320", "alpha"): "CL", ("hfb320", "q"): "Cm",
+    ("lateral", "beta"): "CY", ("lateral", "p"): "Cl", ("lateral", "r"): "Cn",
+}  # fmt: skip
+"""Quantities in which the forces and moments of equations stand: sensors that measure these feel what acts there."""
+
 DISPLACED = {
     "hfb320": ("vane", "accelerometer"),
     "lateral": ("vane", "accelerometer", "gyro"),
@@ -164,7 +170,8 @@ def twist_of(what: str, s: System, vehicle: Vehicle, rng: np.random.Generator, s
             force[i] = -much * (np.exp(-((d - 0.3) ** 2) / 0.02) * 0.3)
             return force
 
-        return Twist(force=odd), (), {}
+        place = FORCES.get((s.name, which))
+        return Twist(force=odd, place=(i, place) if place else None), (), {}
     if what == "hysteresis":
         x, v, place = POSITIONS[s.name]
         much = size * 0.4 * s.limits[v] / float(np.mean(s.pulse))

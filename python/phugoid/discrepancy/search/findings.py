@@ -181,13 +181,15 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, unit: str) -> 
         c = h.clock
         which = " and ".join(c.names)
         were = "were" if len(c.names) > 1 else "was"
+        rest = "outputs" if c.kind == "input" else "other channels"
         begin, end = (f"{number(abs(x), 2)} s {'late' if x > 0.0 else 'early'}" for x in (c.late, c.until))
         explanation = (
-            f"{which} {were} recorded by another clock than the outputs, {begin} at the beginning of a record and "
+            f"{which} {were} recorded by another clock than the {rest}, {begin} at the beginning of a record and "
             f"{end} at the end of the longest one"
         )
         advice = (
-            "Record on one time base, or correct the times of the inputs; the rest of the search used corrected inputs."
+            f"Record on one time base, or correct the times of the {c.kind}s; the rest of the search used corrected "
+            "ones."
         )
     else:
         explanation = (
@@ -202,6 +204,8 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, unit: str) -> 
     return Finding(
         cause=h.cause,
         status="named",
+        aliases=tuple(h.rivals)[:_ALIASES],
+        rivals=h.rivals,
         coefficient=rate,
         std_error=error,
         interval=(rate - half, rate + half),

@@ -12,7 +12,7 @@ input was halfway through such an interval is a random effect with a marginal li
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -25,10 +25,10 @@ from ...residual_noise.whitening import Filter
 from ...sensitivities import Place
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.whitened import Marginal, RandomEffects, Whitened, at_knots
+from .clock import Clock, alike, other_clock
 from .disturbance import noises_of
 from .evidence import AssessmentSettings
 from .free_run import Explained, Misfitting, Simulated
-from .input_clock import InputClock, input_clock
 from .refit import HeldOut, Refit, fitted_to, gain_on_other_data, is_structured, on_other_data
 from .refit_cache import RefitCache
 
@@ -52,6 +52,8 @@ _MEDIANS, _MEANS = (5, 11), (8, 20, 60)
 _FIRST, _ALIKE = 5, 1.5
 # Part of the misfit that another clock must explain.
 _MOST_OF_IT = 0.5
+# Log-likelihood by which another clock may be behind and still not be distinguished.
+_ALIKE_GAIN = 5.0
 # To first order the data ask for so much of what the filter takes away: about all of it.
 _ALL = (0.4, 1.6)
 
@@ -60,7 +62,7 @@ _ALL = (0.4, 1.6)
 class RecordedInput:
     """How an input acts, where it acts otherwise than it is recorded.
 
-    name        of the input.
+    name        of the input; of a clock, of the output, or "inputs" or "outputs" where it is of several.
     kind        "hold": constant until the next sample; "cubic": smooth between samples; "noise": without the noise that
                 is on the record; "clock": by another clock than that of the record.
     refit       the fit with it so.
@@ -69,7 +71,8 @@ class RecordedInput:
     held_out    the same on the other records; None without any.
     explained   what it explains of their misfit in free simulation; without other records, of that of the fit's own.
     noise       RMS of the noise, in the input's unit; 0 for the other kinds.
-    clock       that by which inputs were recorded; None for the other kinds.
+    clock       that by which channels were recorded; None for the other kinds.
+    rivals      others that the data do not distinguish from it, as a late output and an early input: cause -> gain.
     """
 
     name: str
@@ -80,7 +83,8 @@ class RecordedInput:
     held_out: HeldOut | None
     explained: Explained | None
     noise: float = 0.0
-    clock: InputClock | None = None
+    clock: Clock | None = None
+    rivals: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def cause(self) -> str:
@@ -123,24 +127,31 @@ def recorded_input(search: RefitCache) -> RecordedInput | None:
 def _by_another_clock(
     search: RefitCache, data: Sequence[Experiment], before: Linearised | None
 ) -> RecordedInput | None:
-    """Return the inputs that were recorded by another clock than the outputs, one of them or all, where that explains
-    most of the misfit: what changes slowly in a record looks a little like it."""
-    base, found = search.base, None
+    """Return the channels that were recorded by another clock than the rest, one input or all of them, or some outputs,
+    where that explains most of the misfit: what changes slowly in a record looks a little like it."""
+    base, found = search.base, list[RecordedInput]()
     if not is_structured(base, _MOST_OF_IT):
         return None
-    names = list(base.fit.model.declared_inputs)
-    groups = [[n] for n in names] + ([names] if len(names) > 1 else [])
-    for group in groups:
-        best = input_clock(base, group, data, max(_MARGIN, found.gain if found else 0.0))
+    inputs, outputs = list(base.fit.model.declared_inputs), base.fit.model.output_names
+    clocks = [Clock("input", (n,)) for n in inputs]
+    if len(inputs) > 1:
+        clocks.append(Clock("input", tuple(inputs)))
+    same = alike(base, outputs, data)
+    groups = dict.fromkeys([*((n,) for n in same), tuple(same)])
+    clocks += [Clock("output", group) for group in groups if group]
+    for clock in clocks:
+        best = other_clock(base, clock, data, _MARGIN)
         if best is None:
             continue
-        clock, refit = best
-        name = group[0] if len(group) == 1 else "inputs"
-        one = RecordedInput(name, "clock", refit, search.validation, refit.merit - base.merit, None, None, clock=clock)
+        clock, refit, gain = best
+        name = clock.names[0] if len(clock.names) == 1 else f"{clock.kind}s"
+        one = RecordedInput(name, "clock", refit, search.validation, gain, None, None, clock=clock)
         confirmed = _confirmed(one, before, base, search.biases) if before is not None else _explaining(one, base)
         if confirmed is not None and confirmed.explained is not None and confirmed.explained.part > _MOST_OF_IT:
-            found = confirmed
-    return found
+            found.append(confirmed)
+    first = max(found, key=lambda one: one.gain, default=None)
+    rivals = {o.cause: o.gain for o in found if o is not first and first and o.gain > first.gain - _ALIKE_GAIN}
+    return replace(first, rivals=rivals) if first else None
 
 
 def _explaining(one: RecordedInput, base: Refit) -> RecordedInput | None:
@@ -161,14 +172,16 @@ def _confirmed(one: RecordedInput, before: Linearised, base: Refit, free: Sequen
     name, kind = one.name, one.kind
     if kind == "noise":
         other = _without_noise(Whitened(before, base.own.filter.on(before.structure)), name)
-    elif kind == "clock":
-        other = one.clock.on(one.validation) if one.clock is not None else []
+    elif one.clock is not None:
+        other = one.clock.on(one.validation)
     else:
         other = [e.with_interpolation({name: kind}) for e in one.validation]
     if not other:
         return None
     try:
         after = on_other_data(one.refit, other, None, free)
+        if one.clock is not None and one.clock.kind == "output":
+            before = on_other_data(base, one.clock.known(one.validation), before, free)
     except PhugoidError:
         return None
     gain = gain_on_other_data(before, after)

@@ -1,4 +1,4 @@
-"""Inputs that were recorded by another clock than the outputs: what a diagnosis names."""
+"""Channels that were recorded by another clock than the rest: what a diagnosis names."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _doublets(rng: np.random.Generator, t: _Array, size: float) -> _Array:
 def _record(
     seed: int, name: str, rate: float, late: float = 0.0, drift: float = 0.0, of: tuple[str, ...] = ("d", "T")
 ) -> ph.Experiment:
-    """A boat whose rudder and thrust were recorded by another computer than its motion."""
+    """A boat of which rudder and thrust, or other channels, were recorded by another computer than the rest."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 50.0, 0.05)
     u = {"d": _doublets(rng, t, 0.3), "T": _doublets(rng, t, 1.0)}
@@ -33,8 +33,9 @@ def _record(
     fine = np.arange(0.0, 49.96, 0.005) + 0.0025  # in the middle of short steps, in which inputs are held
     u_of = np.stack([np.interp(fine, t, u["d"]), np.interp(fine, t, u["T"]), fine], axis=1)
     x = integrated(f, np.zeros(2), fine, u_of, finer=1)[::10]
-    recorded = {n: np.interp((t - late) / (1.0 + rate), t, y) if n in of else y for n, y in u.items()}
-    outputs = {"v": x[:, 0] + 0.01 * rng.standard_normal(t.size), "r": x[:, 1] + 0.005 * rng.standard_normal(t.size)}
+    happened = {**u, "v": x[:, 0], "r": x[:, 1]}
+    recorded = {n: np.interp((t - late) / (1.0 + rate), t, y) if n in of else y for n, y in happened.items()}
+    outputs = {n: recorded.pop(n) + sigma * rng.standard_normal(t.size) for n, sigma in {"v": 0.01, "r": 0.005}.items()}
     return ph.Experiment(t, recorded, outputs, name=name)
 
 
@@ -61,6 +62,48 @@ def test_a_clock_that_runs_at_another_rate_is_named(of: tuple[str, ...], cause: 
     extended = diagnosis.extend().fit
     assert extended.parameters["e"].value == pytest.approx(2.0, rel=0.02)
     assert ph.improve(fit, validation=_record(2, "b", 0.006, of=of)).added == (cause,)
+
+
+def test_an_output_that_was_recorded_late_is_not_distinguished_from_an_early_input() -> None:
+    fit = ph.estimate(_boat(), _record(1, "a", 0.006, of=("r",)))
+    (found,) = named(ph.diagnose(fit, validation=_record(2, "b", 0.006, of=("r",))))
+    assert "r:clock" in {found.cause, *found.aliases}
+    assert abs(found.coefficient) == pytest.approx(0.006, abs=4.0 * found.std_error)
+
+
+def test_the_clock_of_one_output_among_others_is_named() -> None:
+    """The acceleration tells that the input is in time, and the position is not."""
+
+    def record(seed: int, name: str) -> ph.Experiment:
+        rng = np.random.default_rng(seed)
+        t = np.arange(0.0, 50.0, 0.05)
+        u = _doublets(rng, t, 1.0)
+        fine = np.arange(0.0, 49.96, 0.005) + 0.0025
+
+        def f(x: _Array, u: _Array) -> _Array:
+            return np.array([x[1], -4.0 * x[0] - 0.8 * x[1] + 1.5 * u[0]])
+
+        x = integrated(f, np.zeros(2), fine, np.interp(fine, t, u)[:, None], finer=1)[::10]
+        late = np.interp((t - 0.1) / 1.006, t, x[:, 0])
+        force = -4.0 * x[:, 0] - 0.8 * x[:, 1] + 1.5 * u
+        outputs = {"x": late, "v": x[:, 1], "a": force}
+        noisy = {
+            n: y + s * rng.standard_normal(t.size) for (n, y), s in zip(outputs.items(), (0.01, 0.03, 0.1), strict=True)
+        }
+        return ph.Experiment(t, {"u": u}, noisy, name=name)
+
+    m = ph.Model("oscillator")
+    x, v = m.states(x="m", v="m/s")
+    (u,) = m.inputs(u="N")
+    k, d, b = m.parameters(k=1.0, d=1.0, b=1.0)
+    m.dynamics(x=v, v=-k * x - d * v + b * u)
+    m.outputs(x=x, v=v, a=-k * x - d * v + b * u)
+    diagnosis = ph.diagnose(ph.estimate(m, record(1, "a")), validation=record(2, "b"))
+    (found,) = named(diagnosis)
+    assert (found.cause, found.aliases) == ("x:clock", ())
+    assert found.coefficient == pytest.approx(0.006, abs=4.0 * found.std_error)
+    assert found.explained > 0.95
+    assert "x was recorded by another clock than the other channels" in found.explanation
 
 
 @pytest.mark.parametrize("kind", [{"rate": 0.0, "late": 0.3}, {"rate": 0.0, "drift": 0.012}])

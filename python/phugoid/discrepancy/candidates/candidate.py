@@ -233,6 +233,13 @@ def has_unknown_centre(candidate: Candidate) -> bool:
     return len(candidate.variables) == 1 and candidate.variables[0] not in candidate.scales.given
 
 
+def is_limit(candidate: Candidate) -> bool:
+    """Tell whether a candidate is a limit of an input on either side of a centre that is not given."""
+    if not isinstance(candidate, Effect) or candidate.place.kind != "input" or not candidate.centred:
+        return False
+    return len(candidate.variables) == 1 and candidate.variables[0] not in candidate.scales.given
+
+
 def added_by_centre(function: Candidate, other: Candidate) -> bool:
     """Tell whether a term is what a function of a variable has in addition about another centre."""
     if not has_unknown_centre(function) or not isinstance(function, Effect) or not isinstance(other, Effect):

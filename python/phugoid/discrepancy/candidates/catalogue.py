@@ -391,8 +391,8 @@ class Catalogue:
             variables=variables,
         )
         shaped: list[tuple[Callable[..., Effect], str, str, str]] = [
-            (DeadBand, "deadband", f"deadband_{u}", f"small deflections of {u} have no effect (dead-band)"),
-            (Saturation, "saturation", f"saturation_{u}", f"large deflections of {u} are cut off (saturation)"),
+            (DeadBand, "deadband", f"deadband_{u}", DeadBand.words.format(name=u, about="")),
+            (Saturation, "saturation", f"saturation_{u}", Saturation.words.format(name=u, about="")),
             (
                 Backlash,
                 "backlash",

@@ -15,6 +15,7 @@ from ...modelling.model import Model
 from ...sensitivities import Points
 from .candidate import Candidate, Effect, ExtensionBuilder, largest_coefficient, place_range
 from .scales import (
+    Scales,
     delay_bounds,
     delay_grid,
     evaluated,
@@ -366,6 +367,25 @@ class _Limited(Effect):
         return True
 
     least = 0.0  # physical limit, of the greatest deflection
+    words = ""  # with places for the input, and for the centre where that is another than its trim
+
+    def on(self, scales: Scales) -> _Limited:
+        name = self.place.name
+        about = f" from {scales.centre(name):g}" if name in scales.moved else ""
+        return replace(self, scales=scales, explanation=self.words.format(name=name, about=about))
+
+    def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
+        """Return those about the first values, about zero and about the middle of the range, where both sides meet the
+        limit."""
+        scales, name = self.scales, self.place.name
+        tried, found = [scales.centre(name)], list[Candidate]()
+        first = float(np.mean([p.values[name][0] for p in points]))
+        middle = 0.5 * (scales.low.get(name, 0.0) + scales.high.get(name, 0.0))
+        for centre in (first, 0.0 if scales.reaches_zero(name) else first, middle):
+            if name not in scales.given and min(abs(centre - t) for t in tried) > _CORNER * scales.span(name):
+                tried.append(centre)
+                found.append(self.moved(centre - scales.centre(name)))
+        return found
 
     def _within(self, limit: Any) -> Any:
         """Return the distance from the trim, cut off at the limit on either side; corners rounded."""
@@ -405,6 +425,7 @@ class DeadBand(_Limited):
     """Deflections within the (half) width about the trim do nothing, larger ones are less by it."""
 
     stage: int = 1
+    words = "small deflections of {name}{about} have no effect (dead-band)"
 
     def grid(self) -> Iterable[float]:
         return self.scales.peak(self.place.name) * np.array([0.02, 0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65])
@@ -422,6 +443,7 @@ class Saturation(_Limited):
 
     stage: int = 2
     least = 0.1
+    words = "large deflections of {name}{about} are cut off (saturation)"
 
     def grid(self) -> Iterable[float]:
         return self.scales.peak(self.place.name) * np.array([0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2])

@@ -16,7 +16,7 @@ from ...frozen_model import freed_by_default
 from ...residual_noise.whitening import Filter, Whitening
 from ...sensitivities.linearised import Linearised
 from ...solvers import check_time
-from ..candidates.candidate import Candidate, Effect, has_unknown_centre, with_variants
+from ..candidates.candidate import Candidate, Effect, has_unknown_centre, is_limit, with_variants
 from .refit import Refit, is_structured, on_other_data, refit
 from .ringing import Ringing, light_modes, ringing_of
 from .scan import Scan
@@ -42,6 +42,8 @@ _WORKERS = 4
 # Of a trim that is estimated, in parts of the range of the variable: the step of the derivative, the longest step of
 # the estimate; steps; and the gain in log-likelihood of a step that ends it.
 _CENTRE_STEP, _FARTHEST_CENTRE, _CENTRINGS, _SETTLED = 0.02, 0.3, 8, 0.5
+# The gain in log-likelihood that the centre of a limit must promise, of which no trim need be the middle.
+_CLEARLY = 8.0
 
 
 @dataclass
@@ -100,6 +102,8 @@ class RefitCache:
                 starts |= self._starts.get(c.name, {})
             found = self._likeliest(candidates, starts, near)
             try:
+                if found is not None and candidates and is_limit(candidates[-1]):
+                    found = self.about_own_centre(found, candidates[-1], _CLEARLY, found.own.filter)
                 _ = found and found.merit  # here, for it takes as long
             except EvaluationError:  # it cannot be linearised: nothing is known of its parameters
                 return None
@@ -141,31 +145,26 @@ class RefitCache:
 
     def about_own_centre(self, at: Refit, candidate: Candidate, least: float, filter: Filter) -> Refit:
         """Return the refit with a candidate about the centre that the data ask for, where that is a function about a
-        trim that is not known, and gains more than ``least`` in log-likelihood so; else the refit as it is. ``filter``
-        is that of the noise: what a wrong centre leaves may be slow, and hide in a noise model made with it.
+        trim that is not known, or a limit on either side of one, and gains more than ``least`` in log-likelihood so;
+        else the refit as it is. ``filter`` is that of the noise: what a wrong centre leaves may be slow, and hide in a
+        noise model made with it.
 
         The derivative by the centre is that of the function. With the trim a little off the rest would pass for another
         function of the same variable: c (x - a)|x - a| about 0 leaves -2 c a |x|.
         """
         needed = least
         for _ in range(_CENTRINGS):
-            if not isinstance(candidate, Effect) or not has_unknown_centre(candidate):
+            if not isinstance(candidate, Effect) or not (has_unknown_centre(candidate) or is_limit(candidate)):
                 break
-            others = at.beside([candidate])
-            (name,) = candidate.variables
-            span = candidate.scales.span(name)
-            step = _CENTRE_STEP * span
-            scan = Scan(at.linear, [candidate.moved(step)])
-            amplitude = at.fit.parameters[candidate.coefficients[0]].value
-            seen = scan.through(filter) if scan.effects and amplitude else None
-            if seen is None or seen.values[0] < 2.0 * needed:
+            step, gain = _centre_step(at, candidate, filter)
+            if gain < needed:
                 break
-            farthest = _FARTHEST_CENTRE * span
-            moved = candidate.moved(float(np.clip(step * seen.amplitudes[0][0] / amplitude, -farthest, farthest)))
+            farthest = _FARTHEST_CENTRE * candidate.scales.span(*candidate.variables)
+            moved = candidate.moved(float(np.clip(step, -farthest, farthest)))
             if not moved.is_apt:
                 break
             self.watch(f"fitting with {candidate.name} about another trim")
-            found = refit(self.base.fit, [*others, moved], {}, at.fit, self.base.linear.points)
+            found = refit(self.base.fit, [*at.beside([candidate]), moved], {}, at.fit, self.base.linear.points)
             if found is None or found.merit < at.merit + needed:
                 break
             at, candidate, needed = found, moved, _SETTLED
@@ -353,6 +352,24 @@ class RefitCache:
     def has_start(self, name: str) -> bool:
         """Tell whether it is known where a refit with a candidate starts."""
         return name in self._starts
+
+
+def _centre_step(at: Refit, candidate: Effect, filter: Filter) -> tuple[float, float]:
+    """Return by how much the data ask the centre of a function to be moved, to first order, and the gain in
+    log-likelihood by that; ``filter`` is that of the noise."""
+    linear = at.linear
+    moved = candidate.moved(_CENTRE_STEP * candidate.scales.span(*candidate.variables))
+    step = moved.scales.centre(*moved.variables) - candidate.scales.centre(*candidate.variables)
+    shape = {n: at.fit.parameters[n].value for n in candidate.shape_names}
+    size = at.fit.parameters[candidate.coefficients[0]].value if candidate.coefficients else 1.0
+    if candidate.place not in linear.places:
+        return 0.0, 0.0
+    signals = [size * (moved.signals(p, shape) - candidate.signals(p, shape)) for p in linear.points]
+    seen = at.through(filter)
+    (column,) = seen.beside(linear.answers(candidate.place, signals))
+    power = max(float(column @ column), 1e-300)
+    part = float(column @ seen.errors) / power
+    return part * step, 0.5 * part * part * power
 
 
 def _unexplained(fit: FitResult, names: Sequence[str]) -> list[str]:

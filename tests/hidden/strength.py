@@ -96,7 +96,10 @@ class Baseline:
             there, columns = self._sensitivity(moves)
             if not np.abs(columns).max() < HUGE:
                 return np.inf  # Gauss-Newton runs away
-            projection, left = _Projection(columns), y[:, None] - there
+            try:
+                projection, left = _Projection(columns), y[:, None] - there
+            except np.linalg.LinAlgError:
+                return np.inf
             now = float((projection.rest(left) ** 2).sum())
             if abs(now - before) < SETTLED * before:
                 break

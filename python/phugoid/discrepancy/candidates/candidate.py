@@ -119,6 +119,11 @@ class Candidate(ABC):
         say which is right: the scan does."""
         return ()
 
+    @property
+    def lesser(self) -> Candidate | None:
+        """The variant that says less, such as a limit on one side alone; None where there is none."""
+        return None
+
     @abstractmethod
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         """Range of each of its parameters, in its unit, outside of which it is no physical explanation."""

@@ -274,6 +274,10 @@ class ClippedSensor(Effect):
         return () if self.both_sides or not self.scales.crosses(self._key) else (replace(self, both_sides=True),)
 
     @property
+    def lesser(self) -> Candidate | None:
+        return replace(self, both_sides=False) if self.both_sides else None
+
+    @property
     def _corner(self) -> float:
         return _CORNER * self.scales.span(self._key)
 

@@ -227,6 +227,10 @@ class EndStop(_StateEffect):
     def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
         return () if self.both_sides or not self.scales.crosses(self._x) else (replace(self, both_sides=True),)
 
+    @property
+    def lesser(self) -> Candidate | None:
+        return replace(self, both_sides=False) if self.both_sides else None
+
     def grid(self) -> Iterable[float]:
         if not self.both_sides:
             return super().grid()

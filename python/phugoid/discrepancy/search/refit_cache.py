@@ -101,6 +101,12 @@ class RefitCache:
             for c in candidates:
                 starts |= self._starts.get(c.name, {})
             found = self._likeliest(candidates, starts, near)
+            lesser = candidates[-1].lesser if found is not None and candidates else None
+            if found is not None and lesser is not None:
+                # Other records are to confirm both sides of a limit: one that is as likely alone says less.
+                other = self._likeliest([*candidates[:-1], lesser], starts, near)
+                if other is not None and other.fit.log_likelihood > found.fit.log_likelihood - _NEARLY:
+                    found = other
             try:
                 if found is not None and candidates and is_limit(candidates[-1]):
                     found = self.about_own_centre(found, candidates[-1], _CLEARLY, found.own.filter)

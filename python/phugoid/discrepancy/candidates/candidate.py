@@ -295,21 +295,21 @@ class ExtensionBuilder:
 
     def state(self, wanted: str, unit: str, right: Callable[[Expr], Any], initial: Any) -> Expr:
         """Return one more state with its equation, right-hand side by its symbol, and its value at the first sample."""
-        name = self._unused(wanted)
-        symbol = Expr.symbol(name)
+        (symbol,) = self.states([wanted], lambda z: [right(z)], [initial], unit)
+        return symbol
+
+    def states(
+        self, wanted: Sequence[str], right: Callable[..., Sequence[Any]], initial: Sequence[Any], unit: str = ""
+    ) -> list[Expr]:
+        """Return several more states that depend on each other: right-hand sides by their symbols, and their values at
+        the first sample."""
         known: dict[str, Any] = {}  # at the ends of a record quantities have no name
         for quantity in self.old.quantity_names:
             known[quantity] = self.equations["quantity", quantity].substitute(known)
-        self._states[name] = (unit, Expr(right(symbol)), Expr(Expr(initial).substitute(known)))
-        return symbol
-
-    def states(self, wanted: Sequence[str], right: Callable[..., Sequence[Any]]) -> list[Expr]:
-        """Several more states that depend on each other, without units, and 0 at the first sample: right-hand sides by
-        their symbols."""
         names = [self._unused(name) for name in wanted]
         symbols = [Expr.symbol(name) for name in names]
-        for name, e in zip(names, right(*symbols), strict=True):
-            self._states[name] = ("", Expr(e), Expr(0.0))
+        for name, e, first in zip(names, right(*symbols), initial, strict=True):
+            self._states[name] = (unit, Expr(e), Expr(Expr(first).substitute(known)))
         return symbols
 
     def late_input(self, of: str, tau: str) -> Expr:

@@ -158,7 +158,7 @@ class Stribeck(Effect):
 @dataclass(frozen=True, eq=False, repr=False)
 class FlexibleMode(Effect):
     """A lightly damped mode that what stands at the place excites, and that acts there: it becomes it + c z with
-    z'' = w^2 (it - z) - 2 zeta w z', at rest at first."""
+    z'' = w^2 (it - z) - 2 zeta w z', and at rest at first, with z as large as it is."""
 
     stage: int = 5
 
@@ -178,15 +178,19 @@ class FlexibleMode(Effect):
         return of(group, self.place.name, points, self.place.kind)
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
-        z, _ = second_order(points.t, self._it(points), shape[self.shape_names[0]], _DAMPING)
-        return z[np.newaxis]
+        return self._moved(points, shape[self.shape_names[0]])[:1]
+
+    def _moved(self, points: Points, frequency: float) -> _Array:
+        """Return (2, n) z and its rate."""
+        it = self._it(points)
+        z, rate = second_order(points.t, it - it[0], frequency, _DAMPING)
+        return np.stack([it[0] + z, rate])
 
     def paths(self, points: Points, start: Mapping[str, float]) -> Mapping[str, _Array]:
         name, _ = self.shape_names
         if name not in start:
             return {}
-        z, rate = second_order(points.t, self._it(points), start[name], _DAMPING)
-        return dict(zip(self._states, (z, rate), strict=True))
+        return dict(zip(self._states, self._moved(points, start[name]), strict=True))
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
@@ -196,7 +200,11 @@ class FlexibleMode(Effect):
         w = extension.parameter(frequency, low, bounds=(0.5 * low, 2.0 * high), unit="rad/s", transform="log")
         zeta = extension.parameter(damping, _DAMPING, bounds=_DAMPINGS, transform="log")
         it = extension.at(self.place)
-        z, _ = extension.states(self._states, lambda z, rate: (rate, w**2 * (it - z) - 2 * zeta * w * rate))
+
+        def right(z: Expr, rate: Expr) -> tuple[Any, Any]:
+            return rate, w**2 * (it - z) - 2 * zeta * w * rate
+
+        z, _ = extension.states(self._states, right, (it, 0.0))
         extension.add(self.place, c * z)
         return extension.model()
 

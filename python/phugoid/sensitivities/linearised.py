@@ -195,9 +195,11 @@ class Linearised:
 
     @cached_property
     def moves(self) -> tuple[_Array, _Array]:
-        """Tangents as they come: changes of the outputs (n_rows, k) in units of the noise, and of variables (n, k)."""
+        """Tangents: changes of the outputs (n_rows, k) in units of the noise, orthonormal, and of variables (n, k)."""
         columns, answers = self.directions()
-        return columns, answers[: self._problem.n_theta].copy()
+        basis, values, vt = np.linalg.svd(columns, full_matrices=False)
+        kept = values > _NOTHING * values[:1]
+        return basis[:, kept], answers[: self._problem.n_theta] @ (vt[kept].T / values[kept])
 
     def directions(self) -> tuple[_Array, _Array]:
         """Return what `moves` does, with changes of variables and all sampled states, (n_theta + n_samples n_x, k)."""
@@ -236,8 +238,7 @@ class Linearised:
     @cached_property
     def tangents(self) -> _Array:
         """See the class."""
-        basis, values, _ = np.linalg.svd(self.moves[0], full_matrices=False)
-        return np.asarray(basis[:, values > _NOTHING * values[:1]] * self.scale()[:, None])
+        return np.asarray(self.moves[0] * self.scale()[:, None])
 
     @cached_property
     def structure(self) -> RowStructure:

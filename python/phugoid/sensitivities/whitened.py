@@ -22,6 +22,8 @@ _Array = NDArray[np.float64]
 # Rounds of fitting the noise to residuals and parameters to the noise.
 _ROUNDS = 3
 _NOTHING = 1e-9
+# Ratio of the smallest square to the largest from which on products of tangents are accurate.
+_ROUGH = 1e-8
 
 
 class Whitened:
@@ -34,11 +36,17 @@ class Whitened:
 
     def __init__(self, linear: Linearised, filter: Filter) -> None:
         self.linear, self.filter = linear, filter
-        scale = linear.scale()[:, None]
-        outputs, self._moves = linear.moves
-        u, values, vt = np.linalg.svd(filter((outputs * scale).T).T, full_matrices=False)
-        kept = values > _NOTHING * values[:1]
-        self.basis, self._back = u[:, kept], vt[kept].T / values[kept]
+        self._moves = linear.moves[1]
+        seen = filter(np.ascontiguousarray(linear.tangents.T))
+        # The tangents were orthonormal before they were whitened: their products keep what there is to know, unless
+        # the filter takes nearly all of some.
+        squares, vectors = np.linalg.eigh(seen @ seen.T)
+        if squares.size and not squares[0] > _ROUGH * squares[-1]:
+            _, values, vt = np.linalg.svd(seen.T, full_matrices=False)
+            squares, vectors = values**2, vt.T
+        kept = squares > _NOTHING**2 * squares.max(initial=0.0)
+        self._back = vectors[:, kept] / np.sqrt(squares[kept])
+        self.basis = seen.T @ self._back
         e = filter(linear.residuals)
         self._part = self.basis.T @ e
         self.errors = e - self.basis @ self._part

@@ -199,8 +199,6 @@ _DELAY = 0.3
 _FREQUENCIES = 200
 # Part of a record that a delay may last where that is longer: transport along pipes, wind from a mast to a rotor.
 _SLOW = 0.02
-# Times of a motion that is simulated, at most.
-_FINEST = 200_000
 
 
 def _longest_delay(duration: float, interval: float) -> float:
@@ -295,15 +293,20 @@ def lagged(t: _Array, u: _Array, tau: float) -> _Array:
 
 
 def second_order(t: _Array, u: _Array, w: float, damping: float) -> tuple[_Array, _Array]:
-    """Return (n,) solution z of z'' = w^2 (u - z) - 2 damping w z', at rest at first, and z'; for u linear between
-    equally spaced times, as many as such a motion needs."""
-    from scipy.signal import cont2discrete, lfilter
+    """Return (n,) solution z of z'' = w^2 (u - z) - 2 damping w z', at rest at first, and z'; exact for u linear between
+    its times and a damping below 1, by the complex pole p: z = w^2 / Im(p) Im(y) with y' = p y + u."""
+    from scipy.linalg import solve_banded
 
-    count = min(max(2 * t.size, int(np.ceil((t[-1] - t[0]) * w / 0.2))), _FINEST) + 1
-    even = np.linspace(t[0], t[-1], count)
-    b, a, _ = cont2discrete(([w * w], [1.0, 2.0 * damping * w, w * w]), even[1] - even[0], method="foh")
-    z = lfilter(np.ravel(b), a, np.interp(even, t, u))
-    return np.interp(t, even, z), np.interp(t, even, np.gradient(z, even))
+    pole = w * complex(-damping, np.sqrt(1.0 - damping * damping))
+    step = pole * np.diff(t)
+    grown = np.expm1(step)
+    band = np.ones((2, t.size), dtype=complex)
+    band[1, :-1] = -(1.0 + grown)
+    right = np.zeros(t.size, dtype=complex)
+    right[1:] = (u[:-1] * grown + np.diff(u) * (grown - step) / step) / pole
+    y = solve_banded((1, 0), band, right, overwrite_b=True, check_finite=False)
+    scale = w * w / pole.imag
+    return scale * y.imag, scale * (pole * y).imag
 
 
 def late(t: _Array, u: _Array, tau: float) -> _Array:

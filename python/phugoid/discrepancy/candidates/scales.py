@@ -293,8 +293,8 @@ def lagged(t: _Array, u: _Array, tau: float) -> _Array:
 
 
 def second_order(t: _Array, u: _Array, w: float, damping: float) -> tuple[_Array, _Array]:
-    """Return (n,) solution z of z'' = w^2 (u - z) - 2 damping w z', at rest at first, and z'; exact for u linear between
-    its times and a damping below 1, by the complex pole p: z = w^2 / Im(p) Im(y) with y' = p y + u."""
+    """Return (n,) solution z of z'' = w^2 (u - z) - 2 damping w z', at rest at first, and z'; exact for u linear
+    between its times and a damping below 1, by the complex pole p: z = w^2 / Im(p) Im(y) with y' = p y + u."""
     from scipy.linalg import solve_banded
 
     pole = w * complex(-damping, np.sqrt(1.0 - damping * damping))

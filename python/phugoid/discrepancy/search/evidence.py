@@ -51,6 +51,7 @@ class AssessmentSettings:
     error        part of the residuals' power that their past predicts, from which on they are error of the model.
     most         part of such a misfit that free simulation of held-out data must be freed of.
     chance       probability that noise of a validation record passes for a disturbance of a known frequency.
+    plainly      times its threshold beyond which a gain is no random walk of a sensor.
     """
 
     false_alarm: float = 0.01
@@ -64,6 +65,7 @@ class AssessmentSettings:
     error: float = 0.6
     most: float = 0.5
     chance: float = 0.05
+    plainly: float = 5.0
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class Evidence:
     explained  the part of the misfit that is explained in free simulation of held-out data; None like ``held_out``,
                and where the model cannot be fitted there.
     rings      whether it is a disturbance at a mode at which the residuals ring.
-    wanders    whether it is a drift, and a random walk of the sensors is likelier.
+    wanders    whether a random walk of the sensors is likelier.
     """
 
     gain: float
@@ -341,10 +343,10 @@ class Assessment:
         return 2.0 * (more.through(filter).log_likelihood - base.through(filter).log_likelihood)
 
     def wanders(self, base: Refit, more: Refit, candidate: Candidate) -> bool:
-        """Tell whether a candidate is a drift or a disturbance of this record alone that is no likelier than a random
-        walk of the sensor, or, of what acts on the vehicle, of all sensors: a walk rises, falls and swings slowly by
-        chance. Beside a drift that is one no walk is left; where one is, it must be significant in noise that walks."""
-        if not isinstance(candidate, Effect) or (candidate.transferable and candidate.family not in _DRIFTS):
+        """Tell whether a candidate is no likelier than a random walk of the sensor, or, of what acts on the vehicle, of
+        all sensors: a walk rises, falls and swings slowly by chance, as many slow motions do. Beside a term that is one
+        no walk is left; where one is, the term must be significant in noise that walks."""
+        if not isinstance(candidate, Effect):
             return False
         of_sensor = candidate.place.kind == "output"
         outputs = [candidate.place.name] if of_sensor else base.linear.model.output_names

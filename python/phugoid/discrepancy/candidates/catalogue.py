@@ -15,7 +15,6 @@ from .candidate import Effect, unused
 from .channel_effects import (
     ClippedSensor,
     DeadBand,
-    EquationScale,
     InputBias,
     InputDelay,
     InputLag,
@@ -26,6 +25,7 @@ from .channel_effects import (
     SensorLag,
     SensorScale,
 )
+from .factors import EquationScale, FactorLaw
 from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
 from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable
@@ -125,6 +125,11 @@ class Catalogue:
         own = [(v, 2) for v in self.structure.variables if v.kind == "state" and v.symbol == place.name]
         return own + [(x, k) for x, v in self.structure.coordinates if v.symbol == place.name for k in (1, 2)]
 
+    def _law(self, place: Place, v: Variable) -> FactorLaw:
+        words = f"{where(place)} is larger by a factor that changes with {v.shown}, by an exponential or a power of it"
+        name, k = f"{self.structure.shown(place)}:scale*{v.shown}", self.names(f"k_{stem(place)}_{v.shown}")
+        return FactorLaw(name, place, words, "law", self.scales, (k,), (), (v.symbol,))
+
     def _in_equation(self, place: Place) -> Iterator[Effect]:
         variables = self.structure.variables
 
@@ -138,6 +143,8 @@ class Catalogue:
             words = f"{where(place)} is larger by a factor that changes with {shown} (mass, inertia, inductance)"
             name, scale = f"{self.structure.shown(place)}:scale*{shown}", self.names(f"k_{stem(place)}_{suffix}")
             yield EquationScale(name, place, words, "factor", self.scales, (scale,), (), (v.symbol,), power=power)
+        if self.structure.is_product(place):
+            yield from (self._law(place, v) for v in [*variables, *self.structure.declared_beside(place)])
         for form in ("linear", "square", "cube", "quadratic"):
             yield from (term(form, v) for v in self.structure.declared_in(place))
         if place.kind == "quantity":
@@ -326,6 +333,7 @@ class Catalogue:
         through = [v for v in inputs if self.structure.is_weighed(place, v)]
         yield from (term("product", v, w) for v in states for w in through)
         yield from (term("square", v) for v in [*through, *(x for x in states if x.symbol in at_once and through)])
+        yield from (term(form, v) for form in ("cube", "quadratic", "absolute") for v in through)
         for v in self.structure.variables:
             if v.kind == "state" and self.structure.is_angle(v):
                 yield self._ripple(place, v, "an eccentric disc, wind against a heading")

@@ -33,12 +33,12 @@ from .scales import (
 __all__ = [
     "ClippedSensor",
     "DeadBand",
-    "EquationScale",
     "InputBias",
     "InputDelay",
     "InputLag",
     "InputScale",
     "Saturation",
+    "Scale",
     "SensorCurve",
     "SensorDelay",
     "SensorLag",
@@ -49,8 +49,6 @@ _Array = NDArray[np.float64]
 
 # A sensor or actuator whose scale is wrong by more was never calibrated.
 _SCALE = 0.3
-# Least and greatest factor by which an inertia that depends on a state may change over a record.
-_FACTOR = (0.1, 10.0)
 # A wrong sign, and units that are taken for others: degrees and radians, g and m/s², feet, knots and km/h and metres,
 # thousandths; and how near a scale must be to one of these.
 _UNITS = (180.0 / np.pi, 9.80665, 1.0 / 0.3048, 3.6 / 1.852, 3.6, 1000.0)
@@ -138,47 +136,6 @@ class SensorScale(Scale):
         k = extension.parameter(self.coefficients[0])
         extension.put(self.place, (1 + k) * extension.at(self.place))
         return extension.model()
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class EquationScale(Scale):
-    """All that stands in a state equation or a quantity becomes 1 + k times as large, by another mass, inertia or gear
-    ratio where numbers that are taken as known stand there; or 1 + k (x - x0)^power times, where the mass, inertia or
-    inductance depends on a state, the ``variables``' only one, in a device with a saturated core, say."""
-
-    power: int = 0
-    stage: int = 1  # of terms that were added, too
-
-    @property
-    def centred(self) -> bool:
-        return self.power > 0
-
-    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
-        within = points.rates if self.place.kind == "equation" else points.values
-        whole = of(within, self.place.name, points, self.place.kind)
-        for name in self.variables:
-            x = of(points.values, name, points, "state")
-            whole = whole * (x - self.scales.centre(name)) ** self.power
-        return whole[np.newaxis]
-
-    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = ExtensionBuilder(model, self, start)
-        more = extension.parameter(self.coefficients[0]) * extension.at(self.place)
-        for name in self.variables:
-            centre = self.scales.centre(name)
-            more = more * (Expr.symbol(name) - centre if centre else Expr.symbol(name)) ** self.power
-        extension.add(self.place, more)
-        return extension.model()
-
-    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        if not self.power:
-            return super().physical(points)
-        peak = max(self.scales.peak(*self.variables) ** self.power, 1e-300)
-        low, high = _FACTOR
-        return {self.coefficients[0]: ((low - 1.0) / peak, (high - 1.0 if self.power % 2 == 0 else 1.0 - low) / peak)}
-
-    def has_reason(self, values: Mapping[str, float]) -> bool:
-        return not self.power and super().has_reason(values)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -38,6 +38,7 @@ FAMILIES = (
     "rate",
     "curve",
     "factor",
+    "law",
     "lag",
     "delay",
     "deadband",

@@ -112,6 +112,14 @@ class ModelStructure:
         exact = [n for n in self._defined if n not in symbols and of.issuperset(self.quantities[n].symbols)]
         return [Variable(n, n, "quantity") for n in exact] if len(exact) <= _BESIDE else []
 
+    def is_product(self, place: Place) -> bool:
+        """Tell whether a quantity is a product with a parameter, such as a rate of reaction or a flow of heat, and no
+        sum of terms that each have their own."""
+        if place.kind != "quantity":
+            return False
+        terms = addends(self.expression(place))
+        return len(terms) == 1 and bool(self._parameters.intersection(terms[0].symbols))
+
     def is_store(self, variable: Variable) -> bool:
         """Tell whether a variable may be what a store holds, as a level or a pressure: a state that is no angle, no
         rate and no position, which is a speed's integral."""

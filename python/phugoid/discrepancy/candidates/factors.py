@@ -1,0 +1,108 @@
+"""Factors by which all that stands in a state equation or a quantity is larger, constant or by a variable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._core import Expr
+from ...functions import exp, log
+from ...modelling.model import Model
+from ...sensitivities import Points
+from .candidate import Candidate, Effect, ExtensionBuilder
+from .channel_effects import Scale
+from .scales import of
+
+__all__ = ["EquationScale", "FactorLaw"]
+
+_Array = NDArray[np.float64]
+
+# Least and greatest factor by which an inertia or a rate that depends on a variable may change over a record.
+_FACTOR = (0.1, 10.0)
+# Part of its greatest value above which a variable must stay for a power of it.
+_ABOVE = 0.05
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EquationScale(Scale):
+    """All that stands in a state equation or a quantity becomes 1 + k times as large, by another mass, inertia or gear
+    ratio where numbers that are taken as known stand there; or 1 + k (x - x0)^power times, where the mass, inertia or
+    inductance depends on a state, the ``variables``' only one, in a device with a saturated core, say."""
+
+    power: int = 0
+    stage: int = 1  # of terms that were added, too
+
+    @property
+    def centred(self) -> bool:
+        return self.power > 0
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        within = points.rates if self.place.kind == "equation" else points.values
+        whole = of(within, self.place.name, points, self.place.kind)
+        for name in self.variables:
+            x = of(points.values, name, points, "state")
+            whole = whole * (x - self.scales.centre(name)) ** self.power
+        return whole[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        more = extension.parameter(self.coefficients[0]) * extension.at(self.place)
+        for name in self.variables:
+            centre = self.scales.centre(name)
+            more = more * (Expr.symbol(name) - centre if centre else Expr.symbol(name)) ** self.power
+        extension.add(self.place, more)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        if not self.power:
+            return super().physical(points)
+        peak = max(self.scales.peak(*self.variables) ** self.power, 1e-300)
+        low, high = _FACTOR
+        return {self.coefficients[0]: ((low - 1.0) / peak, (high - 1.0 if self.power % 2 == 0 else 1.0 - low) / peak)}
+
+    def has_reason(self, values: Mapping[str, float]) -> bool:
+        return not self.power and super().has_reason(values)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FactorLaw(Effect):
+    """A quantity that is a product becomes exp(k (x - x0)) times as large, as a rate of reaction with the temperature,
+    or (x / x0)^k times, as a heat transfer with a flow, where the ``variables``' only one stays positive."""
+
+    power: bool = False
+    stage: int = 1  # of terms that were added, too
+
+    @property
+    def centred(self) -> bool:
+        return True
+
+    def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
+        """Return the other law."""
+        (x,) = self.variables
+        low, high = (f(float(f(of(p.values, x, p, "state, input or quantity"))) for p in points) for f in (min, max))
+        return (replace(self, power=True),) if low > _ABOVE * high and self.scales.centre(x) > 0.0 else ()
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        whole = of(points.values, self.place.name, points, self.place.kind)
+        return (whole * self._logarithm(points))[np.newaxis]
+
+    def _logarithm(self, points: Points) -> _Array:
+        """Return (n,) the logarithm of the factor for k = 1."""
+        (name,) = self.variables
+        x, centre = of(points.values, name, points, "state, input or quantity"), self.scales.centre(name)
+        return np.asarray(np.log(x / centre) if self.power else x - centre)
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        (name,) = self.variables
+        x, centre, k = Expr.symbol(name), self.scales.centre(name), extension.parameter(self.coefficients[0])
+        factor = exp(k * log(x / centre)) if self.power else exp(k * (x - centre if centre else x))
+        extension.put(self.place, extension.at(self.place) * factor)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        largest = max(float(np.abs(self._logarithm(p)).max()) for p in points)
+        return {self.coefficients[0]: tuple(float(np.log(f)) / max(largest, 1e-300) for f in _FACTOR)}

@@ -326,7 +326,8 @@ class Search:
             # Of terms that stand for each other the simpler one stays, of those alike what is likelier without the
             # other; where one set cannot be fitted another may.
             sets = [[c for c in at.candidates if c is not w] for w in weak]
-            refits = self.cache.refits(sets, at.fit)
+            self.cache.refits(sets, at.fit)
+            refits = [self.cache.again(s, at.fit) for s in sets]
             fitted = [(complexity(w), r) for w, r in zip(weak, refits, strict=True) if r is not None]
             following = max(fitted, key=lambda pair: (pair[0], pair[1].merit), default=(0, None))[1]
             if following is None:

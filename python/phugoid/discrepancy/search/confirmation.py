@@ -234,12 +234,14 @@ class Confirmation:
 
     def _is_progress(self, current: Refit, found: Refit) -> bool:
         """Tell whether a refit has more than the current one: what explains next to nothing displaces no earlier
-        finding."""
-        names = {*current.names}
+        finding, unless it explains most of what that leaves."""
+        names, assess = {*current.names}, self._assessment
         if names <= {*found.names}:
             return len(found.names) > len(names)
-        explained = self._assessment.explained(current, found)
-        return explained is not None and explained.significant and explained.part > self._assessment.settings.minor
+        explained = assess.explained(current, found)
+        if explained is not None and explained.significant and explained.part > assess.settings.minor:
+            return True
+        return assess.explains_what_is_left(current, found)
 
     def _behind(self, current: Refit, tries: Sequence[Refit]) -> Collection[tuple[str, ...]]:
         """Return the names of refits that simulate held-out data clearly worse than the best of them does."""

@@ -229,6 +229,14 @@ class Assessment:
         data; None where it cannot be fitted to them."""
         return self.compared(base, base, more)
 
+    def explains_what_is_left(self, current: Refit, more: Refit) -> bool:
+        """Tell whether a model explains most of the misfit that another one still has, in free simulation of held-out
+        data, where that is more than noise."""
+        if not is_structured(current, self.settings.error):
+            return False
+        found = self._compared(current, current, more, current)
+        return found is not None and found.significant and found.part > self.settings.most
+
     def is_worse(self, base: Refit, one: Refit, other: Refit) -> bool:
         """Tell whether, beside the terms of a base, free simulation of held-out data is clearly worse with those of
         one model than with those of another: by a part of the misfit of the base that is not minor."""

@@ -35,6 +35,8 @@ _USELESS = 0.5
 _SAME, _FAILED = 0.5, 3
 # What one term less may cost in log-likelihood where that is hardly another optimum.
 _NEARLY = 10.0
+# Times the loss that the estimates of the terms left out make one expect, beyond which the optimum is another.
+_TIMES_EXPECTED = 5.0
 # An end that gains less than this part of what the scan promises is none; so many shapes are tried then.
 _LITTLE, _OTHERS = 0.1, 4
 # Refits side by side: the solver works without the interpreter's lock.
@@ -136,9 +138,9 @@ class RefitCache:
         optimum than the one that is near that fit."""
         key = frozenset(c.name for c in candidates)
         before = self.refit(candidates, near)
-        if not any(c.several_starts or c.jumps for c in candidates):
-            return before
-        if before is not None and before.fit.log_likelihood > near.log_likelihood - _NEARLY:
+        lost = np.inf if before is None else near.log_likelihood - before.fit.log_likelihood
+        many = any(c.several_starts or c.jumps for c in candidates)
+        if lost < _NEARLY or not (many or lost > _NEARLY + _TIMES_EXPECTED * self._expected_loss(near, candidates)):
             return before
         self.watch("fitting with " + ", ".join(c.name for c in candidates) + " once more")
         found = refit(self.base.fit, candidates, {}, near, self.base.linear.points, patient=True)
@@ -148,6 +150,14 @@ class RefitCache:
             known.pop(key, None)
         self._refits[key] = found
         return found
+
+    def _expected_loss(self, near: FitResult, candidates: Sequence[Candidate]) -> float:
+        """Return the log-likelihood that a fit loses without the terms that it has beside some candidates, by their
+        estimates and standard errors."""
+        names = {*near.model.parameter_names}.difference(self.base.fit.model.parameter_names)
+        left_out = names.difference(n for c in candidates for n in c.parameters)
+        estimates = [near.parameters[n] for n in left_out if n in near.parameters]
+        return sum(0.5 * (e.value / e.std_error) ** 2 for e in estimates if e.std_error > 0.0)
 
     def about_own_centre(self, at: Refit, candidate: Candidate, least: float, filter: Filter) -> Refit:
         """Return the refit with a candidate about the centre that the data ask for, where that is a function about a

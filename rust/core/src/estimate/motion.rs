@@ -182,7 +182,16 @@ impl Estimation<'_> {
             runs = if stopped && sound.is_none() { None } else { self.simulated(&at, accuracy.tolerance) };
             let off = runs.as_ref().map_or(f64::INFINITY, |runs| found.departure(runs));
             let reached = found.log_likelihood;
-            let is_lost = |kept: &Fit| !found.feasible || off <= FAR && reached < kept.log_likelihood - LOST;
+            // Where the time is over, no other mesh follows that could confirm this one.
+            let behind_when_cut = |kept: &Fit| {
+                let integrated = self.integrated_log_likelihood(&found).unwrap_or(f64::NEG_INFINITY);
+                off > FAR && (integrated.is_nan() || integrated < kept.log_likelihood)
+            };
+            let is_lost = |kept: &Fit| {
+                !found.feasible
+                    || off <= FAR && reached < kept.log_likelihood - LOST
+                    || stopped && behind_when_cut(kept)
+            };
             if let Some(kept) = sound.as_ref().filter(|kept| is_lost(kept)) {
                 astray += 1;
                 let mut back = kept.clone();

@@ -167,14 +167,14 @@ def model_of(
 _Array = NDArray[np.float64]
 # The mesh of a rest before a record, in parts of its duration: from the fastest motion to the slowest, five in a decade.
 _REST = np.concatenate([[0.0], np.logspace(-10.0, 0.0, 51)])
-_DECADE = 5
 # A model is at rest where no state moves by more than this part of its size, while time goes on tenfold.
 _STILL = 1e-7
 _LONGEST = 1e12
 # A rest is so many times longer than the model takes at the parameters at hand, since at others it is slower; where a state
-# still moves by more than this part of its size in nine tenths of it, it is too short.
+# still moves by more than this part of its size between two points of the mesh far apart, it is too short.
 _LONGER = 100.0
 _MOVES = 1e-5
+_APART = 2
 
 
 @dataclass(frozen=True)
@@ -276,14 +276,14 @@ class Records:
         """Return whether the states of a record of a phase are at rest where they have to be.
 
         Compared are the states at the last point of the mesh before the end of the rest, where states may be set, and
-        those at a tenth of that time.
+        those at 0.4 of that time.
         """
         states = np.array(list(record.states.values()))
         size = np.abs(states).max(axis=1) + 1e-300
         ends = [] if phase.before is None else [int(np.searchsorted(record.t, 0.0))]
         if math.inf in (t for own in self.measured.samples[phase].values() for t, _ in own):
             ends.append(record.t.size - 1)
-        moved = [np.abs(states[:, end - 1] - states[:, end - 1 - _DECADE]) for end in ends]
+        moved = [np.abs(states[:, end - 1] - states[:, end - 1 - _APART]) for end in ends]
         return all(bool((m <= _MOVES * size).all()) for m in moved)
 
     def _rest(self, experiment: Experiment, phase: Phase, at: Mapping[str, float]) -> float:

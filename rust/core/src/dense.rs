@@ -19,6 +19,7 @@ use crate::simd::kernel;
 const LARGE: usize = 24;
 
 /// Σ a·b over rows of any length, in a fixed order. Outside of kernels a fused product would be a call.
+#[inline]
 pub fn dot_of(a: &[f64], b: &[f64]) -> f64 {
     let mut sum = [0.0; 8];
     let (a, b) = (a.as_chunks::<8>(), b.as_chunks::<8>());
@@ -315,6 +316,15 @@ kernel! {
                 (0..width).for_each(|j| b.swap(pivot as usize * width + j, k * width + j));
             }
         }
+        if width == 1 {
+            for i in 1..n {
+                b[i] -= dot_of(&a[i * n..i * n + i], &b[..i]);
+            }
+            for k in (0..n).rev() {
+                b[k] = (b[k] - dot_of(&a[k * n + k + 1..(k + 1) * n], &b[k + 1..])) / a[k * n + k];
+            }
+            return b.iter().all(|x| x.is_finite());
+        }
         for i in 1..n {
             let (above, below) = b.split_at_mut(i * width);
             let to = &mut below[..width];
@@ -325,7 +335,8 @@ kernel! {
         for k in (0..n).rev() {
             let (above, below) = b.split_at_mut((k + 1) * width);
             let to = &mut above[k * width..];
-            for (from, x) in a[k * n + k + 1..(k + 1) * n].iter().zip(below.chunks_exact(width)) {
+            let row = &a[k * n + k + 1..(k + 1) * n];
+            for (from, x) in row.iter().zip(below.chunks_exact(width)).filter(|p| *p.0 != 0.0) {
                 to.iter_mut().zip(x).for_each(|(t, x)| *t -= from * x);
             }
             to.iter_mut().for_each(|t| *t /= a[k * n + k]);

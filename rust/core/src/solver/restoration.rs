@@ -34,7 +34,7 @@ const OF_WINDOW: usize = 8;
 const IN_TURN: usize = 25;
 /// Blocks that are solved together first.
 const FIRST_WINDOW: usize = 16;
-/// Most blocks that are solved in turn: each iteration evaluates all of them.
+/// Most blocks that are solved in turn.
 const MOST_BLOCKS: usize = 2000;
 
 /// An entry of the Jacobian in the equations of a block.
@@ -123,6 +123,8 @@ pub(super) struct Restoration {
     factors: Vec<f64>,
     pivots: Vec<u32>,
     factorised: bool,
+    /// Rows that are evaluated.
+    ranges: Vec<Range<usize>>,
     right: Vec<f64>,
 }
 
@@ -208,6 +210,7 @@ impl Restoration {
             factors: vec![0.0; entries],
             pivots: vec![0; rows],
             factorised: false,
+            ranges: Vec::new(),
             right: Vec::new(),
             blocks,
         })
@@ -367,7 +370,8 @@ impl Restoration {
                 return false;
             }
             // What is not finite is so in the defects of its own block.
-            let _ = program.constraints(xi, &mut self.c);
+            self.rows_of(&marches, |m| !m.window.is_empty());
+            program.constraints_within(xi, &self.ranges, &mut self.c);
             for march in &mut marches {
                 march.todo = self.judge(program, march, xi);
             }
@@ -381,7 +385,8 @@ impl Restoration {
                 }
                 return true;
             }
-            let _ = program.jacobian(xi, &mut self.jacobian);
+            self.rows_of(&marches, |m| m.todo == Todo::Step);
+            program.jacobian_within(xi, &self.ranges, &mut self.jacobian);
             self.d.fill(0.0);
             for march in marches.iter_mut().filter(|m| m.todo == Todo::Step) {
                 let mut window = march.window.clone();
@@ -392,6 +397,18 @@ impl Restoration {
                 } else {
                     march.left = 0;
                 }
+            }
+        }
+    }
+
+    /// Sets the ranges of the rows of some windows.
+    fn rows_of(&mut self, marches: &[March], which: impl Fn(&March) -> bool) {
+        self.ranges.clear();
+        for block in marches.iter().filter(|m| which(m)).flat_map(|m| &self.blocks[m.window.clone()]) {
+            let (first, end) = (block.rows[0], block.rows[block.rows.len() - 1] + 1);
+            match self.ranges.last_mut().filter(|r| r.end == first) {
+                Some(range) => range.end = end,
+                None => self.ranges.push(first..end),
             }
         }
     }

@@ -43,8 +43,8 @@ class FitResult:
     initial_states  experiment -> state -> estimate of the state at the first sample.
     log_likelihood  of the measurements (Eq. ellz_defn), without the constant -N n_y/2 ln 2 pi, whatever the noise.
     integrated_log_likelihood  the same of the model integrated with the estimates, independent of the mesh. It is there for
-                    a run by `Collocation` that was cut, and where the mesh follows the motion; NaN where the model
-                    cannot be integrated. The message says where it differs from ``log_likelihood``.
+                    a run by `Collocation` that was cut, and where samples are few and the parameters tell the first
+                    states; NaN where the model cannot be integrated. The message says where it differs from ``log_likelihood``.
     records         one an experiment: measured, outputs, residuals, states.
     status          "converged", or what else happened; ``message`` says what to do.
     warnings        in words.

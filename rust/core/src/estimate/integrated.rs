@@ -23,17 +23,18 @@ const LEAST: Duration = Duration::from_millis(100);
 const OF_LIMIT: f64 = 0.05;
 /// Log-likelihoods that differ by more than this are reported.
 const DIFFERENT: f64 = 0.1;
-/// Beyond this difference the path is not a solution, whatever the run ended with.
+/// Beyond this difference a path on a mesh that follows the motion is not a solution, whatever the run ended with.
 const WRONG: f64 = 1.0;
 
 impl Estimation<'_> {
     /// Sets the log-likelihood of the integrated model, and says where it is not that of the path: for a run that was cut, and
-    /// for a mesh that follows the motion.
+    /// where samples are few and the parameters tell where the motion begins.
     ///
-    /// Other runs end on a mesh whose error is examined. The integration is independent of any mesh.
+    /// The integration is independent of any mesh. Long records of unstable motion have no such likelihood, and of a run that
+    /// ends the mesh is examined ([`Fit::integration_error`]).
     pub(super) fn compare_with_integration(&self, fit: &mut Fit) {
         let cut = !fit.status.is_end() && fit.iterations > 0;
-        if !fit.transcription.is_collocation() || !(cut || self.follows_motion()) {
+        if !fit.transcription.is_collocation() || !(cut || self.parameters_tell_motion()) {
             return;
         }
         let began = Instant::now();
@@ -54,7 +55,7 @@ impl Estimation<'_> {
             ),
             Ok(found) if (found - path).abs() <= DIFFERENT => return,
             Ok(found) => {
-                if fit.status.is_end() && (found - path).abs() > WRONG {
+                if fit.status.is_end() && self.follows_motion() && (found - path).abs() > WRONG {
                     (fit.status, fit.message) = (Status::Infeasible, Status::Infeasible.hint().into());
                 }
                 format!(

@@ -78,6 +78,11 @@ impl Estimation<'_> {
         if !self.moving_mesh.unwrap_or_else(one_between) {
             return false;
         }
+        self.parameters_tell_motion()
+    }
+
+    /// Whether samples are few, and the parameters tell where the motion begins: then the likelihood is one of the parameters.
+    pub(super) fn parameters_tell_motion(&self) -> bool {
         let known = |state: &str| {
             let mut conditions = self.model.conditions.iter();
             conditions.any(|c| c.end == End::Initial && c.state == state)

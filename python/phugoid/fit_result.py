@@ -42,9 +42,11 @@ class FitResult:
     parameters      by name, what was estimated of the noise (``sigma_<output>``, and more) among them.
     initial_states  experiment -> state -> estimate of the state at the first sample.
     log_likelihood  of the measurements (Eq. ellz_defn), without the constant -N n_y/2 ln 2 pi, whatever the noise.
-    integrated_log_likelihood  the same of the model integrated with the estimates, independent of the mesh. It is there for
-                    a run by `Collocation` that was cut, and where samples are few and the parameters tell the first
-                    states; NaN where the model cannot be integrated. The message says where it differs from ``log_likelihood``.
+    integrated_log_likelihood
+                    the same of the model integrated with the estimates, independent of the mesh: of a run by
+                    `Collocation` that was cut, and where samples are few and the parameters tell the first states. NaN
+                    where the model cannot be integrated; None for other fits. The message says where it differs from
+                    ``log_likelihood``.
     records         one an experiment: measured, outputs, residuals, states.
     status          "converged", or what else happened; ``message`` says what to do.
     warnings        in words.
@@ -94,7 +96,7 @@ class FitResult:
 
     @property
     def ranked_log_likelihood(self) -> float:
-        """The log-likelihood by which fits of one problem compare: that of the integrated model where it is known."""
+        """The log-likelihood by which fits of one problem compare: of the integrated model where it is known."""
         integrated = self.integrated_log_likelihood
         return float(self.log_likelihood if integrated is None else integrated)
 

@@ -84,7 +84,9 @@ def petab(
                 break
             # Steady states that were too short: from where the starts ended, with longer ones.
             read = longer
-            points = [{n: v for n, v in o.parameters.items() if n in read.nominal} or dict(o.start) for o in many.outcomes]
+            points = [
+                {n: v for n, v in o.parameters.items() if n in read.nominal} or dict(o.start) for o in many.outcomes
+            ]
             many = run(read, points, pool)
     best = many.optima[0] if many.optima else None
     reached = max((o for o in many.outcomes if math.isfinite(o.log_likelihood)), key=_likelihood, default=None)
@@ -115,7 +117,9 @@ def petab(
         print(f"{read!r}")
         print(f"nominal point: log-likelihood {'none' if nominal is None else f'{nominal:.5f}'}")
         if total is not None:
-            print(f"best found: log-likelihood {total:.5f}, in {best.count if best else 0} of {len(many.outcomes)} starts")
+            print(
+                f"best found: log-likelihood {total:.5f}, in {best.count if best else 0} of {len(many.outcomes)} starts"
+            )
         elif reached is not None:
             value = reached.log_likelihood + read.constant
             print(f"no start ended at an optimum; the best point that was reached has log-likelihood {value:.5f}")

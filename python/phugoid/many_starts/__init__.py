@@ -138,8 +138,8 @@ class Multistart:
         most = max(gain, key=lambda index: gain[index])
         number = "1 start was" if len(gain) == 1 else f"{len(gain)} starts were"
         return (
-            f"{number} cut at a log-likelihood above that of the best optimum, start {most} by {gain[most]:.4g}: there is a "
-            "better optimum; allow each start more time"
+            f"{number} cut at a log-likelihood above that of the best optimum, start {most} by {gain[most]:.4g}: there "
+            "is a better optimum; allow each start more time"
         )
 
     def _missing(self) -> str:
@@ -147,7 +147,8 @@ class Multistart:
         if self.status == "complete":
             return ""
         by = "the time limit" if self.status == "time limit" else "the user"
-        return f"{by} ended the multistart after {len(self.outcomes)} of {self.n} starts: the others may lead to better optima"
+        done = len(self.outcomes)
+        return f"{by} ended the multistart after {done} of {self.n} starts: the others may lead to better optima"
 
     @property
     def success_rate(self) -> float:

@@ -165,13 +165,14 @@ def model_of(
 
 
 _Array = NDArray[np.float64]
-# The mesh of a rest before a record, in parts of its duration: from the fastest motion to the slowest, five in a decade.
+# The mesh of a rest before a record, in parts of its duration: from the fastest motion to the slowest, five a decade.
 _REST = np.concatenate([[0.0], np.logspace(-10.0, 0.0, 51)])
 # A model is at rest where no state moves by more than this part of its size, while time goes on tenfold.
 _STILL = 1e-7
 _LONGEST = 1e12
-# A rest is so many times longer than the model takes at the parameters at hand, since at others it is slower; where a state
-# still moves by more than this part of its size between two points of the mesh far apart, it is too short.
+# A rest is so many times longer than the model takes at the parameters at hand, since at others it is slower. Where a
+# state still moves by more than this part of its size between points of the mesh that are so far apart, it is too
+# short.
 _LONGER = 100.0
 _MOVES = 1e-5
 _APART = 2

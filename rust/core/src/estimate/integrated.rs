@@ -107,8 +107,8 @@ impl Estimation<'_> {
             xi.extend((0..path.t.len()).flat_map(|k| path.states.iter().map(move |x| x[k])));
         }
         let objective = problem.objective(&xi);
-        objective.map(|value| problem.posed().prior_terms(&xi) - value).map_err(|_| {
-            Error::evaluation("an output or its noise is not finite along the solution".into())
-        })
+        objective
+            .map(|value| problem.posed().prior_terms(&xi) - value)
+            .map_err(|_| Error::evaluation("an output or its noise is not finite along the solution".into()))
     }
 }

@@ -174,7 +174,11 @@ impl Estimation<'_> {
             return f64::NEG_INFINITY;
         }
         if current().stops() {
-            return self.integrated_log_likelihood(fit).ok().filter(|l| l.is_finite()).unwrap_or(f64::NEG_INFINITY);
+            return self
+                .integrated_log_likelihood(fit)
+                .ok()
+                .filter(|l| l.is_finite())
+                .unwrap_or(f64::NEG_INFINITY);
         }
         let runs = self.simulated(&fit.values(), SEARCH.tolerance);
         let known = runs.is_some_and(|runs| fit.departure(&runs) <= FAR);

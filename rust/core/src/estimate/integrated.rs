@@ -12,11 +12,12 @@ use crate::interrupt::Interrupt;
 use crate::mesh::Grid;
 use crate::nlp::Nlp;
 use crate::problem::Transcribed;
-use crate::simulate::Simulation;
+use crate::simulate::{Method, Simulation};
 use crate::solver::Status;
 
-/// Tolerance of the integration.
+/// Tolerances of the integration, and of that by an implicit method where the first is not that of the path.
 const TOLERANCE: f64 = 1e-8;
+const TOLERANCE_AGAIN: f64 = 1e-9;
 /// The integration of all records may take so long, or this part of the time limit where that is less, but always a little.
 const LONGEST: Duration = Duration::from_secs(5);
 const LEAST: Duration = Duration::from_millis(100);
@@ -73,7 +74,17 @@ impl Estimation<'_> {
     /// over.
     pub(super) fn integrated_log_likelihood(&self, fit: &Fit) -> Result<f64, Error> {
         let limit = Some(self.time_for_integration());
-        Interrupt::shielded(|| Interrupt::within(limit).run(|| self.integrated(fit)))
+        let by = |tolerance, method| self.integrated(fit, tolerance, method);
+        Interrupt::shielded(|| {
+            Interrupt::within(limit).run(|| {
+                let found = by(TOLERANCE, Method::Automatic);
+                if found.as_ref().is_ok_and(|l| (l - fit.log_likelihood).abs() <= DIFFERENT) {
+                    return found;
+                }
+                // An explicit step may cross a pole next to the solution unnoticed, as that of saturated kinetics.
+                by(TOLERANCE_AGAIN, Method::Implicit).or(found)
+            })
+        })
     }
 
     fn time_for_integration(&self) -> Duration {
@@ -81,14 +92,15 @@ impl Estimation<'_> {
         if self.outside.stops() { LEAST } else { part.clamp(LEAST, LONGEST) }
     }
 
-    fn integrated(&self, fit: &Fit) -> Result<f64, Error> {
+    fn integrated(&self, fit: &Fit, tolerance: f64, method: Method) -> Result<f64, Error> {
         // With delays, of the model without them on records that were moved; kinks are integrated as they are.
         let moved = fit.moved.as_ref().filter(|_| !self.model.delays.is_empty());
         let (of, model, experiments): (&Fit, _, &[Experiment]) = match moved {
             Some(moved) => (&moved.fit, &moved.fit.model, &moved.experiments),
             None => (fit, self.model, self.experiments),
         };
-        let path = |run: &Experiment| Simulation::new(model, run).fit(of).tolerance(TOLERANCE).run();
+        let path =
+            |run: &Experiment| Simulation::new(model, run).fit(of).tolerance(tolerance).method(method).run();
         let paths = experiments.iter().map(path).collect::<Result<Vec<_>, _>>()?;
         // The trapezoid between samples has no points but these.
         let settings = collocation::Settings {

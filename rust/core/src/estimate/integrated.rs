@@ -24,7 +24,7 @@ const LEAST: Duration = Duration::from_millis(100);
 const OF_LIMIT: f64 = 0.05;
 /// Log-likelihoods that differ by more than this are reported.
 const DIFFERENT: f64 = 0.1;
-/// Beyond this difference a path on a mesh that follows the motion is not a solution, whatever the run ended with.
+/// Beyond this difference a run on a mesh that follows the motion has not converged to a solution, whatever it ended with.
 const WRONG: f64 = 1.0;
 
 impl Estimation<'_> {
@@ -57,7 +57,8 @@ impl Estimation<'_> {
             Ok(found) if (found - path).abs() <= DIFFERENT => return,
             Ok(found) => {
                 if fit.status.is_end() && self.follows_motion() && (found - path).abs() > WRONG {
-                    (fit.status, fit.message) = (Status::Infeasible, Status::Infeasible.hint().into());
+                    let status = Status::IterationLimit;
+                    (fit.status, fit.message) = (status, status.hint().into());
                 }
                 format!(
                     "the model integrated with these estimates has the log-likelihood {}, and not {} as the path on the mesh: the \

@@ -205,6 +205,18 @@ def test_a_steady_state_comes_before(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("k1", [0.9, 0.05, 1e-5])
+def test_a_steady_state_is_as_long_as_the_parameters_need(tmp_path: Path, k1: float) -> None:
+    p = ph.read_petab(problem(tmp_path, measurements=HEAD + "a\tlow\thigh\t2.1\t0\tscale\t\n"))
+    rest = 0.2 / k1
+    expected = float(norm.logpdf(2.1, 2 * rest, 0.05 + 0.1 * rest))
+    assert p.log_likelihood({"k1": k1}) == pytest.approx(expected, abs=1e-4)
+    longer = p.at_rest({"k1": k1})
+    assert (longer is p) == (k1 > 0.01)
+    assert longer.experiments[0].t[0] <= p.experiments[0].t[0]
+    assert longer.at_rest({"k1": k1}) is longer
+
+
 @pytest.mark.parametrize(("given", "first"), [("5", 5.0), ("scale", 2.0), ("", 0.2 / 0.9)])
 def test_a_condition_sets_a_state_anew_after_the_steady_state(tmp_path: Path, given: str, first: float) -> None:
     rows = "a\tlow\thigh\t2.1\t0\tscale\t\nb\tlow\thigh\t0.9\t2\t\t0.1\n"

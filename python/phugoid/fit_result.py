@@ -42,6 +42,11 @@ class FitResult:
     parameters      by name, what was estimated of the noise (``sigma_<output>``, and more) among them.
     initial_states  experiment -> state -> estimate of the state at the first sample.
     log_likelihood  of the measurements (Eq. ellz_defn), without the constant -N n_y/2 ln 2 pi, whatever the noise.
+    integrated_log_likelihood
+                    the same of the model integrated with the estimates, independent of the mesh: of a run by
+                    `Collocation` that was cut, and where samples are few and the parameters tell the first states. NaN
+                    where the model cannot be integrated; None for other fits. The message says where it differs from
+                    ``log_likelihood``.
     records         one an experiment: measured, outputs, residuals, states.
     status          "converged", or what else happened; ``message`` says what to do.
     warnings        in words.
@@ -69,6 +74,7 @@ class FitResult:
     refinement: Refinement | None = None
     smoothing: Smoothing | None = None
     experiments: Sequence[Experiment] = ()
+    integrated_log_likelihood: float | None = None
     # With delays: the fit of the model without delays to data shifted by them. Where kinks were smoothed:
     # that of the smooth model.
     _moved: FitResult | None = field(default=None, repr=False)
@@ -87,6 +93,12 @@ class FitResult:
     def converged(self) -> bool:
         """Return whether the solver met its tolerances."""
         return self.status == "converged"
+
+    @property
+    def ranked_log_likelihood(self) -> float:
+        """The log-likelihood by which fits of one problem compare: of the integrated model where it is known."""
+        integrated = self.integrated_log_likelihood
+        return float(self.log_likelihood if integrated is None else integrated)
 
     @property
     def feasible(self) -> bool:

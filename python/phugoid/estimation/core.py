@@ -229,6 +229,7 @@ def make_fit(
         refinement=_refinement(found, parameters),
         smoothing=_smoothing(found),
         experiments=tuple(experiments),
+        integrated_log_likelihood=found.integrated,
         _moved=inner,
     )
 

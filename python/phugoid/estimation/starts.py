@@ -36,7 +36,8 @@ class Outcome:
     status          of the fit ("converged", "iteration limit", ...); "error" where the run raised an exception;
                     "killed" where the worker process that ran it was lost time and again.
     message         what the status means, or the text of the exception.
-    log_likelihood  where the run ended; NaN where there is none.
+    log_likelihood  where the run ended, of the integrated model where the fit has that (``integrated_log_likelihood``);
+                    NaN where there is none.
     parameters      name -> value where the run ended, in the parameter's unit; empty where there is none.
     std_errors      name -> standard error; NaN for a parameter that is fixed, at a bound, or not identifiable.
     iterations      of the solver.
@@ -103,7 +104,7 @@ class Problem:
             start,
             fit.status,
             fit.message,
-            float(fit.log_likelihood),
+            fit.ranked_log_likelihood,
             fit.parameters.to_dict(),
             {name: e.std_error for name, e in fit.parameters.items()},
             fit.iterations,

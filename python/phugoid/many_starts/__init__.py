@@ -34,6 +34,8 @@ __all__ = [
 ]
 
 
+# Statuses of runs that ended before their end.
+_CUT = ("time limit", "iteration limit", "interrupted")
 # A summary shows so many optima, so many of them with parameters, and so many numbers of starts that failed.
 _OPTIMA, _COLUMNS, _NUMBERS = 10, 4, 12
 
@@ -89,8 +91,8 @@ class Multistart:
         Raises EvaluationError where no start led anywhere.
         """
         fit = self._solved_again()
-        others = local_optima(self.optima, len(self.outcomes))
-        return Fit._of(replace(fit, warnings=(*fit.warnings, *filter(None, [others]))))
+        remarks = filter(None, [local_optima(self.optima, len(self.outcomes)), self._above(), self._missing()])
+        return Fit._of(replace(fit, warnings=(*fit.warnings, *remarks)))
 
     def fit(self, index: int) -> Fit:
         """Return the fit from one start, solved again, with states, outputs and residuals.
@@ -102,7 +104,7 @@ class Multistart:
         if outcome is None:
             raise OptionError(f"fit: start {index!r} is none of the {len(self.outcomes)} finished starts")
         fit = self.problem.fit(outcome.start)
-        reached = replace(outcome, status=fit.status, log_likelihood=float(fit.log_likelihood))
+        reached = replace(outcome, status=fit.status, log_likelihood=fit.ranked_log_likelihood)
         remark = below_best(reached, self.optima, len(self.outcomes))
         return Fit._of(replace(fit, warnings=(*fit.warnings, *filter(None, [remark]))))
 
@@ -119,8 +121,34 @@ class Multistart:
             fit = self.problem.fit({**wanted.start, **values})
         except PhugoidError:  # rounding has put a value outside its bounds
             return self.problem.fit(wanted.start)
-        reached = Outcome(0, {}, fit.status, "", fit.log_likelihood, fit.parameters.to_dict())
+        reached = Outcome(0, {}, fit.status, "", fit.ranked_log_likelihood, fit.parameters.to_dict())
         return fit if reached.at_optimum and same(wanted, reached) else self.problem.fit(wanted.start)
+
+    def _above(self) -> str:
+        """Return which starts were cut at a higher log-likelihood than that of the best optimum; "" where none was."""
+        if not self.optima:
+            return ""
+        gain = {
+            o.index: o.log_likelihood - self.optima[0].log_likelihood
+            for o in self.outcomes
+            if o.status in _CUT and o.log_likelihood > self.optima[0].log_likelihood + LOG_LIKELIHOOD
+        }
+        if not gain:
+            return ""
+        most = max(gain, key=lambda index: gain[index])
+        number = "1 start was" if len(gain) == 1 else f"{len(gain)} starts were"
+        return (
+            f"{number} cut at a log-likelihood above that of the best optimum, start {most} by {gain[most]:.4g}: there "
+            "is a better optimum; allow each start more time"
+        )
+
+    def _missing(self) -> str:
+        """Return what is missing where the time limit or the user ended the run; "" where nothing is."""
+        if self.status == "complete":
+            return ""
+        by = "the time limit" if self.status == "time limit" else "the user"
+        done = len(self.outcomes)
+        return f"{by} ended the multistart after {done} of {self.n} starts: the others may lead to better optima"
 
     @property
     def success_rate(self) -> float:
@@ -279,6 +307,7 @@ class Multistart:
             said.append(
                 f"It is {len(best)} optima with the same log-likelihood: the data do not distinguish their parameters."
             )
+        said += [f"{text[0].upper()}{text[1:]}." for text in (self._above(), self._missing()) if text]
         others = local_optima(self.optima, done)
         bounds = at_bounds(self.optima[0].parameters, self.problem.model.declared_parameters)
         said += [f"{others}."] if others else []

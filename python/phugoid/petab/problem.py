@@ -6,7 +6,7 @@ import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -50,6 +50,8 @@ class PetabProblem:
     constant: float
     unused: Sequence[str]
     _table: Any
+    _records: Records
+    _phases: Sequence[Phase]
 
     def log_likelihood(
         self, values: Mapping[str, float] | FitResult | None = None, *, time_limit: float | None = None
@@ -57,7 +59,9 @@ class PetabProblem:
         """Return the log-likelihood of the PEtab problem, priors included, by an adaptive integration of the ODE.
 
         ``values``: parameters by name (those left out have their nominal values), or a fit; None for the nominal point.
-        Raises EvaluationError where the solution does not exist, ModelError for an unknown name.
+        Steady states are as long as the model takes to come to rest with these values.
+        Raises EvaluationError where the solution does not exist, or the model does not come to rest, and ModelError for
+        an unknown name.
         """
         given = dict(self.nominal)
         if values is not None:
@@ -66,6 +70,32 @@ class PetabProblem:
                 if name not in self.nominal and name not in self.unused:
                     raise ModelError(f"log_likelihood: '{name}' is not a parameter of the problem {self.name}")
                 given[name] = float(value)
+        return self._at_rest(given, time_limit)._log_likelihood(given, time_limit)
+
+    def at_rest(self, values: Mapping[str, float] | FitResult) -> PetabProblem:
+        """Return this problem with steady states that are long enough for these values of the parameters.
+
+        The experiments have steady states that are far longer than the model takes to come to rest at the nominal
+        point. With parameters for which it is still on its way after that, the likelihood is not that of the problem:
+        estimate again with the problem that this method returns.
+        Raises EvaluationError where the model does not come to rest.
+        """
+        own = values.parameters if isinstance(values, FitResult) else values
+        return self._at_rest({n: float(own.get(n, self.nominal[n])) for n in self.model.parameter_names}, None)
+
+    def _at_rest(self, at: Mapping[str, float], time_limit: float | None) -> PetabProblem:
+        at = {n: at[n] for n in self.model.parameter_names}
+        experiments = list(self.experiments)
+        for i, phase in enumerate(self._phases):
+            if not self._records.rests(phase):
+                continue
+            record = self._records.integrated(phase, at, experiments[i], time_limit)
+            if not self._records.settled(phase, record):
+                experiments[i] = self._records.experiment(phase, at)
+        same = all(a is b for a, b in zip(experiments, self.experiments, strict=True))
+        return self if same else replace(self, experiments=experiments)
+
+    def _log_likelihood(self, given: Mapping[str, float], time_limit: float | None) -> float:
         parameters = {n: given[n] for n in self.model.parameter_names}
         total = self.constant
         sigma_of = self._with_sigmas()
@@ -189,15 +219,17 @@ def read_petab(path: str | os.PathLike[str]) -> PetabProblem:
         measured.constant += beside - 0.5 * math.log(2.0 * math.pi)
     model = model_of(sbml, values, formulas, measured, parameters)
     nominal = {n: p.start for n, p in model.declared_parameters.items()}
-    records = Records(model, values, formulas, measured, nominal)
+    records = Records(model, values, formulas, measured)
     return PetabProblem(
         name=name,
         model=model,
-        experiments=[records.experiment(phase) for phase in phases],
+        experiments=[records.experiment(phase, nominal) for phase in phases],
         nominal=nominal,
         constant=measured.constant,
         unused=[n for n in parameters if n not in nominal],
         _table=problem.parameter_df,
+        _records=records,
+        _phases=phases,
     )
 
 

@@ -73,6 +73,7 @@ def fit_payload(fit: FitResult) -> dict[str, Any]:
         "initial_states": {name: _listed(group) for name, group in fit.initial_states.items()},
         "covariance": fit.covariance,
         "log_likelihood": fit.log_likelihood,
+        "integrated_log_likelihood": fit.integrated_log_likelihood,
         "records": [vars(r) for r in fit.records],
         "status": fit.status,
         "message": fit.message,
@@ -161,6 +162,7 @@ def fit_from(saved: Mapping[str, Any], version: int) -> FitResult:
         history=_history(saved["history"]),
         refinement=Refinement.from_dict(saved["refinement"]) if saved.get("refinement") else None,
         smoothing=Smoothing.from_dict(saved["smoothing"]) if saved.get("smoothing") else None,
+        integrated_log_likelihood=_optional(saved.get("integrated_log_likelihood")),
     )
     if version > 1:
         solution, moved = saved["solution"], saved["moved"]
@@ -172,6 +174,10 @@ def fit_from(saved: Mapping[str, Any], version: int) -> FitResult:
         )
     check_fit(fit)
     return fit
+
+
+def _optional(number: Any) -> float | None:
+    return None if number is None else io.to_float(number)
 
 
 def _history(lines: list[dict[str, Any]]) -> list[Iteration]:
@@ -266,6 +272,8 @@ def check_fit(fit: FitResult, moved: bool = True) -> None:
     fit.model.check()
     fit.noise.resolve(fit.model.output_names, dict.fromkeys(fit.model.output_names, 1.0), {})
     check_kinds("", vars(fit), ("status", "message"), ("iterations",), ("log_likelihood", "time"))
+    integrated = fit.integrated_log_likelihood
+    _require(integrated is None or type(integrated) in (float, int), "integrated_log_likelihood is no number")
     _require(fit.status in HINTS, f"status is {_brief(fit.status)}, which is none")
     _require(all(isinstance(w, str) for w in fit.warnings), "warnings: one is no text")
     _records(fit)

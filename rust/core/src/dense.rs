@@ -19,6 +19,7 @@ use crate::simd::kernel;
 const LARGE: usize = 24;
 
 /// Σ a·b over rows of any length, in a fixed order. Outside of kernels a fused product would be a call.
+#[inline]
 pub fn dot_of(a: &[f64], b: &[f64]) -> f64 {
     let mut sum = [0.0; 8];
     let (a, b) = (a.as_chunks::<8>(), b.as_chunks::<8>());
@@ -273,10 +274,10 @@ pub fn lower(w: &[f64], n: usize) -> impl Iterator<Item = f64> + '_ {
 }
 
 kernel! {
-    /// Solves A X = B by elimination with row exchanges, A and B row-major, B with so many columns; X replaces B. Whether A is
-    /// regular.
-    pub fn eliminate(a: &mut [f64], b: &mut [f64], width: usize) -> bool {
-        let n = b.len() / width.max(1);
+    /// Factorises A, n × n and row-major, by elimination with row exchanges: U stands in the upper triangle, the multipliers of L
+    /// below it, and `pivots` says which row each column was exchanged with. Whether A is regular.
+    pub fn factorise(a: &mut [f64], pivots: &mut [u32]) -> bool {
+        let n = pivots.len();
         for k in 0..n {
             let mut pivot = k;
             for i in k + 1..n {
@@ -288,28 +289,77 @@ kernel! {
             if !(size > 0.0 && size.is_finite()) {
                 return false;
             }
+            pivots[k] = pivot as u32;
             if pivot != k {
-                (k..n).for_each(|j| a.swap(pivot * n + j, k * n + j));
-                (0..width).for_each(|j| b.swap(pivot * width + j, k * width + j));
+                (0..n).for_each(|j| a.swap(pivot * n + j, k * n + j));
             }
             let (above, below) = a.split_at_mut((k + 1) * n);
-            let (b_above, b_below) = b.split_at_mut((k + 1) * width);
-            let (row, b_row) = (&above[k * n..], &b_above[k * width..]);
-            for (to, b_to) in below.chunks_exact_mut(n).zip(b_below.chunks_exact_mut(width)) {
+            let row = &above[k * n..];
+            for to in below.chunks_exact_mut(n) {
                 let part = to[k] / row[k];
+                to[k] = part;
                 if part != 0.0 {
                     to[k + 1..].iter_mut().zip(&row[k + 1..]).for_each(|(t, r)| *t -= part * r);
-                    b_to.iter_mut().zip(b_row).for_each(|(t, r)| *t -= part * r);
                 }
+            }
+        }
+        true
+    }
+}
+
+kernel! {
+    /// Solves A X = B in place with the factors of [`factorise`], B row-major with so many columns. Whether X is finite.
+    pub fn solve_factorised(a: &[f64], pivots: &[u32], b: &mut [f64], width: usize) -> bool {
+        let n = pivots.len();
+        for (k, &pivot) in pivots.iter().enumerate() {
+            if pivot as usize != k {
+                (0..width).for_each(|j| b.swap(pivot as usize * width + j, k * width + j));
+            }
+        }
+        if width == 1 {
+            for i in 1..n {
+                b[i] -= dot_of(&a[i * n..i * n + i], &b[..i]);
+            }
+            for k in (0..n).rev() {
+                b[k] = (b[k] - dot_of(&a[k * n + k + 1..(k + 1) * n], &b[k + 1..])) / a[k * n + k];
+            }
+            return b.iter().all(|x| x.is_finite());
+        }
+        for i in 1..n {
+            let (above, below) = b.split_at_mut(i * width);
+            let to = &mut below[..width];
+            for (part, x) in a[i * n..i * n + i].iter().zip(above.chunks_exact(width)).filter(|p| *p.0 != 0.0) {
+                to.iter_mut().zip(x).for_each(|(t, x)| *t -= part * x);
             }
         }
         for k in (0..n).rev() {
             let (above, below) = b.split_at_mut((k + 1) * width);
             let to = &mut above[k * width..];
-            for (from, x) in a[k * n + k + 1..(k + 1) * n].iter().zip(below.chunks_exact(width)) {
+            let row = &a[k * n + k + 1..(k + 1) * n];
+            for (from, x) in row.iter().zip(below.chunks_exact(width)).filter(|p| *p.0 != 0.0) {
                 to.iter_mut().zip(x).for_each(|(t, x)| *t -= from * x);
             }
             to.iter_mut().for_each(|t| *t /= a[k * n + k]);
+        }
+        b.iter().all(|x| x.is_finite())
+    }
+}
+
+kernel! {
+    /// Solves Aᵀ x = b in place with the factors of [`factorise`]. Whether x is finite.
+    pub fn solve_factorised_transposed(a: &[f64], pivots: &[u32], b: &mut [f64]) -> bool {
+        let n = pivots.len();
+        for k in 0..n {
+            b[k] /= a[k * n + k];
+            let (x, rest) = (b[k], &mut b[k + 1..]);
+            rest.iter_mut().zip(&a[k * n + k + 1..(k + 1) * n]).for_each(|(t, u)| *t -= u * x);
+        }
+        for k in (1..n).rev() {
+            let x = b[k];
+            b[..k].iter_mut().zip(&a[k * n..k * n + k]).for_each(|(t, l)| *t -= l * x);
+        }
+        for (k, &pivot) in pivots.iter().enumerate().rev() {
+            b.swap(k, pivot as usize);
         }
         b.iter().all(|x| x.is_finite())
     }

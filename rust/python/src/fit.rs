@@ -73,6 +73,12 @@ impl PyFit {
         self.0.log_likelihood
     }
 
+    /// That of the integrated model, where it was asked for; NaN where it cannot be integrated.
+    #[getter]
+    fn integrated(&self) -> Option<f64> {
+        self.0.integrated
+    }
+
     #[getter]
     fn feasible(&self) -> bool {
         self.0.feasible

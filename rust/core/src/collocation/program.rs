@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use super::Collocation;
+use super::chunk::Chunk;
 use crate::index::{ConstraintId, ExperimentId, StateId, VariableId};
 use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
 use crate::problem::boundary::Boundary;
@@ -36,16 +37,17 @@ impl Nlp for Collocation {
 
     fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
         self.at_ends(|b, problem| b.values(problem, xi, out))?;
-        let out = Disjoint::new(out);
-        self.posed.each(
-            &self.chunks,
-            (&self.dynamics.f.value, xi),
-            0,
-            |chunk, uniforms, scratch, _| {
-                self.dynamics_job(chunk, xi, uniforms).defects(&mut scratch.workspace, &out)
-            },
-            |_, _| (),
-        )
+        self.defects(xi, |_| true, out)
+    }
+
+    fn constraints_within(&self, xi: &[f64], rows: &[Range<usize>], out: &mut [f64]) {
+        let _ = self.at_ends(|b, problem| b.values(problem, xi, out));
+        let _ = self.defects(xi, |chunk| self.has_rows(chunk, rows), out);
+    }
+
+    fn jacobian_within(&self, xi: &[f64], rows: &[Range<usize>], out: &mut [f64]) {
+        let _ = self.at_ends(|b, problem| b.jacobian(problem, xi, out));
+        let _ = self.jacobian_of_chunks(xi, |chunk| self.has_rows(chunk, rows), out);
     }
 
     fn jacobian_structure(&self) -> &Structure {
@@ -59,16 +61,7 @@ impl Nlp for Collocation {
 
     fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
         self.at_ends(|b, problem| b.jacobian(problem, xi, out))?;
-        let out = Disjoint::new(out);
-        self.posed.each(
-            &self.chunks,
-            (&self.dynamics.f.jacobian, xi),
-            0,
-            |chunk, uniforms, scratch, _| {
-                self.dynamics_job(chunk, xi, uniforms).jacobian(&mut scratch.workspace, &out)
-            },
-            |_, _| (),
-        )
+        self.jacobian_of_chunks(xi, |_| true, out)
     }
 
     fn hessian_structure(&self) -> &Structure {
@@ -118,6 +111,56 @@ impl Nlp for Collocation {
 
     fn profile(&self, xi: &[f64], gradient: &[f64], reach: &Reach<'_>, out: &mut [f64]) -> f64 {
         self.posed.profile_noise(xi, gradient, reach, out)
+    }
+}
+
+impl Collocation {
+    /// The defects of some chunks.
+    fn defects(
+        &self,
+        xi: &[f64],
+        wanted: impl Fn(&Chunk) -> bool + Sync,
+        out: &mut [f64],
+    ) -> Result<(), NotFinite> {
+        let out = Disjoint::new(out);
+        self.posed.each(
+            &self.chunks,
+            (&self.dynamics.f.value, xi),
+            0,
+            |chunk, uniforms, scratch, _| {
+                let job = self.dynamics_job(chunk, xi, uniforms);
+                !wanted(chunk) || job.defects(&mut scratch.workspace, &out)
+            },
+            |_, _| (),
+        )
+    }
+
+    /// The Jacobian of the defects of some chunks.
+    fn jacobian_of_chunks(
+        &self,
+        xi: &[f64],
+        wanted: impl Fn(&Chunk) -> bool + Sync,
+        out: &mut [f64],
+    ) -> Result<(), NotFinite> {
+        let out = Disjoint::new(out);
+        self.posed.each(
+            &self.chunks,
+            (&self.dynamics.f.jacobian, xi),
+            0,
+            |chunk, uniforms, scratch, _| {
+                let job = self.dynamics_job(chunk, xi, uniforms);
+                !wanted(chunk) || job.jacobian(&mut scratch.workspace, &out)
+            },
+            |_, _| (),
+        )
+    }
+
+    /// Whether some of these constraints are defects of a chunk.
+    fn has_rows(&self, chunk: &Chunk, rows: &[Range<usize>]) -> bool {
+        let n_x = self.layout.n_x;
+        let own = chunk.row * n_x..(chunk.row + chunk.segments() * (chunk.rule.order() - 1)) * n_x;
+        rows.iter().any(|r| r.start < own.end && own.start < r.end)
+            || chunk.between.iter().any(|tie| rows.iter().any(|r| r.contains(&(tie.row * n_x))))
     }
 }
 

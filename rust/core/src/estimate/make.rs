@@ -180,6 +180,7 @@ fn assessed(
         records,
         covariance,
         log_likelihood,
+        integrated: None,
         feasible,
         status,
         message,

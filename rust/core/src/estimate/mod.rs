@@ -5,6 +5,7 @@ mod draws;
 mod earlier;
 mod fit;
 mod injection;
+mod integrated;
 mod integration;
 mod judge;
 mod make;

@@ -78,6 +78,11 @@ impl Estimation<'_> {
         if !self.moving_mesh.unwrap_or_else(one_between) {
             return false;
         }
+        self.parameters_tell_motion()
+    }
+
+    /// Whether samples are few, and the parameters tell where the motion begins: then the likelihood is one of the parameters.
+    pub(super) fn parameters_tell_motion(&self) -> bool {
         let known = |state: &str| {
             let mut conditions = self.model.conditions.iter();
             conditions.any(|c| c.end == End::Initial && c.state == state)
@@ -182,7 +187,16 @@ impl Estimation<'_> {
             runs = if stopped && sound.is_none() { None } else { self.simulated(&at, accuracy.tolerance) };
             let off = runs.as_ref().map_or(f64::INFINITY, |runs| found.departure(runs));
             let reached = found.log_likelihood;
-            let is_lost = |kept: &Fit| !found.feasible || off <= FAR && reached < kept.log_likelihood - LOST;
+            // Where the time is over, no other mesh follows that could confirm this one.
+            let behind_when_cut = |kept: &Fit| {
+                let integrated = self.integrated_log_likelihood(&found).unwrap_or(f64::NEG_INFINITY);
+                off > FAR && (integrated.is_nan() || integrated < kept.log_likelihood)
+            };
+            let is_lost = |kept: &Fit| {
+                !found.feasible
+                    || off <= FAR && reached < kept.log_likelihood - LOST
+                    || stopped && behind_when_cut(kept)
+            };
             if let Some(kept) = sound.as_ref().filter(|kept| is_lost(kept)) {
                 astray += 1;
                 let mut back = kept.clone();

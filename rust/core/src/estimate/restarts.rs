@@ -53,7 +53,14 @@ impl Estimation<'_> {
                 self.follow_injection(&injection, &mut search, watch)?;
             }
         }
+        let cut = search.is_stopped();
         let Search { mut fit, mut iterations, mut time, without, again, .. } = search;
+        if cut && restarts > 0 && fit.status.is_end() {
+            fit.message = format!(
+                "{}; the search for better optima was cut after {without} restarts without a gain: there may be better ones",
+                fit.message
+            );
+        }
         if !self.goes_on() && !fit.status.was_stopped() && !current().stops() {
             let last = self.along_the_motion(&fit.values(), f64::NEG_INFINITY, FINAL, watch)?;
             if let Some(last) = last.filter(|last| last.status != Status::TimeLimit) {
@@ -62,7 +69,7 @@ impl Estimation<'_> {
                 fit = last;
             }
         }
-        if restarts > 0 && again == 0 && fit.feasible {
+        if restarts > 0 && again == 0 && fit.feasible && !cut {
             fit.warnings.push(format!(
                 "none of the last {without} restarts ended at this optimum again: there may be better ones, which \
                  a search from many starts may find (`multistart`)"
@@ -163,7 +170,17 @@ impl Estimation<'_> {
     ///
     /// A path on a mesh that is too coarse may cross a pole of the solution, or miss a fast motion.
     pub(super) fn likelihood(&self, fit: &Fit) -> f64 {
-        let runs = if fit.feasible { self.simulated(&fit.values(), SEARCH.tolerance) } else { None };
+        if !fit.feasible {
+            return f64::NEG_INFINITY;
+        }
+        if current().stops() {
+            return self
+                .integrated_log_likelihood(fit)
+                .ok()
+                .filter(|l| l.is_finite())
+                .unwrap_or(f64::NEG_INFINITY);
+        }
+        let runs = self.simulated(&fit.values(), SEARCH.tolerance);
         let known = runs.is_some_and(|runs| fit.departure(&runs) <= FAR);
         if known { fit.log_likelihood } else { f64::NEG_INFINITY }
     }

@@ -38,7 +38,9 @@ impl Estimation<'_> {
         self.solver.check()?;
         let within = Estimation { outside: current(), ..self.clone() };
         // All passes share the time.
-        Interrupt::within(self.solver.time_limit).run(|| within.solve_all(&mut watch))
+        let mut fit = Interrupt::within(self.solver.time_limit).run(|| within.solve_all(&mut watch))?;
+        self.compare_with_integration(&mut fit);
+        Ok(fit)
     }
 
     /// The fit, made again where it ended for a reason that another way to it may mend.

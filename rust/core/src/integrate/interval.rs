@@ -12,6 +12,9 @@ const STEPS: usize = 100_000;
 const ASK: usize = 16;
 /// A system is stiff when so many steps were as long as stability allows, and no more than so many others in between.
 const STIFF: (u32, u32) = (15, 6);
+/// After so many explicit steps in an interval implicit ones are tried: near a steady state, where slopes are rounding errors,
+/// stiffness does not always show.
+const MANY: usize = STEPS / 5;
 /// A step is this part of what the error allows; it changes by no more than these factors.
 const SAFETY: f64 = 0.9;
 const SHORTER: f64 = 0.2;
@@ -106,6 +109,7 @@ impl Adaptive {
                     None => {}
                 }
             }
+            self.stiff |= number == MANY && self.method == Method::Automatic;
             let left = length - self.t;
             let last = self.step >= left * (1.0 - 1e-12);
             let h = if last { left } else { self.step };

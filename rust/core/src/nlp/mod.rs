@@ -158,6 +158,14 @@ pub trait Nlp: Named + Send + Sync {
     /// Entries, at the same places, of factor times a positive semidefinite approximation of ∇²φ, the
     /// constraints taken as linear: far from the solution a better guide than the exact Hessian.
     fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite>;
+    /// c(ξ) in these ranges of constraints at least; others may keep what stands there. Whether they are finite is not said.
+    fn constraints_within(&self, xi: &[f64], _rows: &[Range<usize>], out: &mut [f64]) {
+        let _ = self.constraints(xi, out);
+    }
+    /// Entries of ∂c/∂ξ of these ranges of constraints at least, likewise.
+    fn jacobian_within(&self, xi: &[f64], _rows: &[Range<usize>], out: &mut [f64]) {
+        let _ = self.jacobian(xi, out);
+    }
     /// The chains that variables and constraints form, where they do.
     fn chains(&self) -> Option<&Chains> {
         None

@@ -1,6 +1,7 @@
 //! The program as the loop sees it: its functions, counted, with what does not change from point to point.
 
 use std::cell::Cell;
+use std::ops::Range;
 
 use super::status::Status;
 use super::units::Units;
@@ -94,6 +95,18 @@ impl<'a> Program<'a> {
     pub fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
         self.count(|e| e.jacobian += 1);
         self.nlp.jacobian(xi, out)
+    }
+
+    /// The constraints in some ranges at least.
+    pub fn constraints_within(&self, xi: &[f64], rows: &[Range<usize>], out: &mut [f64]) {
+        self.count(|e| e.constraints += 1);
+        self.nlp.constraints_within(xi, rows, out);
+    }
+
+    /// Their Jacobian.
+    pub fn jacobian_within(&self, xi: &[f64], rows: &[Range<usize>], out: &mut [f64]) {
+        self.count(|e| e.jacobian += 1);
+        self.nlp.jacobian_within(xi, rows, out);
     }
 
     pub fn hessian(&self, xi: &[f64], lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {

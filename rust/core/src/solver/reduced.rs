@@ -82,7 +82,7 @@ impl Reduced {
             return false;
         }
         let Iterate { jacobian, gradient, multipliers, .. } = iterate;
-        if !restoration.multipliers(jacobian, gradient, multipliers) {
+        if !restoration.factorise(jacobian) || !restoration.multipliers(gradient, multipliers) {
             return false;
         }
         let finite =
@@ -92,7 +92,7 @@ impl Reduced {
         for (k, &i) in self.free.iter().enumerate() {
             self.z[i * p + k] = 1.0;
         }
-        if !finite || !restoration.sensitivities(&iterate.jacobian, &mut self.z, p) {
+        if !finite || !restoration.sensitivities(&mut self.z, p) {
             return false;
         }
         self.gradient.fill(0.0);

@@ -5,11 +5,14 @@
 //! Differential Equations II, section IV.8). Conditions on the first states come before. Newton's method for all blocks at once
 //! is tried from the states as they are; where that does not contract, windows of segments are solved, each from the states as
 //! they are or, where these lead nowhere, from the end of the window before.
+//!
+//! The factors of a Jacobian serve for several iterations, as long as these contract well, and those of the path that a step
+//! begins from serve for the first iterations after it (simplified Newton iterations: Hairer and Wanner, section IV.8).
 
 use std::ops::Range;
 
 use super::program::Program;
-use crate::dense::{eliminate, largest};
+use crate::dense::{factorise, largest, solve_factorised, solve_factorised_transposed};
 use crate::simd::kernel;
 
 /// Defects below this part of the unit of their state are none.
@@ -18,13 +21,20 @@ const SATISFIED: f64 = 1e-8;
 const ROUNDING: f64 = 1e-13;
 /// The same of the terms of which the defect is the difference, which are large where a segment is long for a fast motion.
 const CANCELLATION: f64 = 4.0 * f64::EPSILON;
-/// Most iterations for all blocks at once, for a window of them, and for one.
+/// After several steps with one Jacobian, of which the last leaves more than a step of Newton's method, another is taken where
+/// defects are above this part of that.
+const SATISFIED_AGAIN: f64 = 0.01;
+/// Most iterations with the factors of one Jacobian, and how much of the defects one may leave if the next is to be taken with
+/// the same factors.
+const WITH_ONE: usize = 6;
+const LEAVES: f64 = 0.2;
+/// Most Jacobians for all blocks at once, and iterations for a window of them, and for one.
 const AT_ONCE: usize = 6;
 const OF_WINDOW: usize = 8;
 const IN_TURN: usize = 25;
 /// Blocks that are solved together first.
 const FIRST_WINDOW: usize = 16;
-/// Most blocks that are solved in turn: each iteration evaluates all of them.
+/// Most blocks that are solved in turn.
 const MOST_BLOCKS: usize = 2000;
 
 /// An entry of the Jacobian in the equations of a block.
@@ -51,17 +61,20 @@ struct Block {
     free: Vec<BlockEntry>,
     /// The states of the point before, which the block starts from; none of the first.
     before: Option<usize>,
+    /// Where its factor and its pivots begin.
+    factor: usize,
+    pivots: usize,
 }
 
 impl Block {
-    /// Its square of the Jacobian, or the transpose of that.
-    fn fill(&self, jacobian: &[f64], matrix: &mut Vec<f64>, transposed: bool) {
+    /// Factorises its square of the Jacobian; whether that is regular.
+    fn factorise(&self, jacobian: &[f64], factor: &mut [f64], pivots: &mut [u32]) -> bool {
         let n = self.rows.len();
-        matrix.clear();
-        matrix.resize(n * n, 0.0);
+        factor.fill(0.0);
         for &BlockEntry { entry, row: r, column: c } in &self.own {
-            matrix[if transposed { c * n + r } else { r * n + c }] += jacobian[entry];
+            factor[r * n + c] += jacobian[entry];
         }
+        factorise(factor, pivots)
     }
 }
 
@@ -106,7 +119,12 @@ pub(super) struct Restoration {
     /// Bounds what rounding leaves of the defects, by row.
     rounding: Vec<f64>,
     kept: Vec<f64>,
-    matrix: Vec<f64>,
+    /// Factors of the blocks of `jacobian`, all of them where `factorised`.
+    factors: Vec<f64>,
+    pivots: Vec<u32>,
+    factorised: bool,
+    /// Rows that are evaluated.
+    ranges: Vec<Range<usize>>,
     right: Vec<f64>,
 }
 
@@ -126,6 +144,8 @@ impl Restoration {
             others: Vec::new(),
             free: Vec::new(),
             before,
+            factor: 0,
+            pivots: 0,
         };
         let mut conditions = Vec::new(); // rows that may depend on the first states alone
         for (e, chain) in chains.chains.iter().enumerate() {
@@ -174,6 +194,12 @@ impl Restoration {
                 None => blocks[number].free.push(BlockEntry { entry: k, row: r, column }),
             }
         }
+        let (mut entries, mut rows) = (0, 0);
+        for block in &mut blocks {
+            (block.factor, block.pivots) = (entries, rows);
+            entries += block.rows.len() * block.rows.len();
+            rows += block.rows.len();
+        }
         Some(Restoration {
             n_x,
             c: vec![0.0; nlp.m()],
@@ -181,7 +207,10 @@ impl Restoration {
             d: vec![0.0; nlp.n()],
             rounding: vec![0.0; nlp.m()],
             kept: vec![0.0; nlp.n()],
-            matrix: Vec::new(),
+            factors: vec![0.0; entries],
+            pivots: vec![0; rows],
+            factorised: false,
+            ranges: Vec::new(),
             right: Vec::new(),
             blocks,
         })
@@ -210,17 +239,37 @@ impl Restoration {
         self.blocks.iter().flat_map(|b| b.columns.iter().copied())
     }
 
+    /// Factorises the blocks of a Jacobian, for the multipliers and derivatives there and for restorations nearby; whether all
+    /// are regular.
+    pub fn factorise(&mut self, jacobian: &[f64]) -> bool {
+        self.jacobian.copy_from_slice(jacobian);
+        self.factorise_all()
+    }
+
+    fn factorise_all(&mut self) -> bool {
+        self.factorised = (0..self.blocks.len()).all(|k| self.factorise_block(k));
+        self.factorised
+    }
+
+    fn factorise_block(&mut self, k: usize) -> bool {
+        let block = &self.blocks[k];
+        let n = block.rows.len();
+        let factor = &mut self.factors[block.factor..][..n * n];
+        block.factorise(&self.jacobian, factor, &mut self.pivots[block.pivots..][..n])
+    }
+
     /// The derivatives of all variables with respect to the free ones, row-major in `z`, where the rows of the free ones are
-    /// set; whether they are defined. `width` is the number of free variables.
-    pub fn sensitivities(&mut self, jacobian: &[f64], z: &mut [f64], width: usize) -> bool {
+    /// set; whether they are defined. `width` is the number of free variables. The Jacobian is that factorised last.
+    pub fn sensitivities(&mut self, z: &mut [f64], width: usize) -> bool {
         for block in &self.blocks {
             let n = block.rows.len();
-            block.fill(jacobian, &mut self.matrix, false);
             self.right.clear();
             self.right.resize(n * width, 0.0);
-            subtract(&block.others, jacobian, z, width, &mut self.right);
-            subtract(&block.free, jacobian, z, width, &mut self.right);
-            if !eliminate(&mut self.matrix, &mut self.right, width) {
+            subtract(&block.others, &self.jacobian, z, width, &mut self.right);
+            subtract(&block.free, &self.jacobian, z, width, &mut self.right);
+            let (factor, pivots) =
+                (&self.factors[block.factor..][..n * n], &self.pivots[block.pivots..][..n]);
+            if !solve_factorised(factor, pivots, &mut self.right, width) {
                 return false;
             }
             for (&column, from) in block.columns.iter().zip(self.right.chunks_exact(width)) {
@@ -231,51 +280,79 @@ impl Restoration {
     }
 
     /// The multipliers with which the gradient of the Lagrangian vanishes for all determined variables, given that of
-    /// the objective; whether there are such.
-    pub fn multipliers(&mut self, jacobian: &[f64], gradient: &[f64], out: &mut [f64]) -> bool {
+    /// the objective; whether there are such. The Jacobian is that factorised last.
+    pub fn multipliers(&mut self, gradient: &[f64], out: &mut [f64]) -> bool {
         self.d.copy_from_slice(gradient);
         for block in self.blocks.iter().rev() {
-            block.fill(jacobian, &mut self.matrix, true);
+            let n = block.rows.len();
             self.right.clear();
             self.right.extend(block.columns.iter().map(|&i| -self.d[i]));
-            if !eliminate(&mut self.matrix, &mut self.right, 1) {
+            let (factor, pivots) =
+                (&self.factors[block.factor..][..n * n], &self.pivots[block.pivots..][..n]);
+            if !solve_factorised_transposed(factor, pivots, &mut self.right) {
                 return false;
             }
             block.rows.iter().zip(&self.right).for_each(|(&row, l)| out[row] = *l);
             for &BlockEntry { entry, row: r, column } in &block.others {
-                self.d[column] += jacobian[entry] * self.right[r];
+                self.d[column] += self.jacobian[entry] * self.right[r];
             }
         }
         true
     }
 
-    /// Newton's method for all blocks, as long as it contracts.
+    /// Newton's method for all blocks, as long as it contracts. The factors of a Jacobian are used again while they leave little
+    /// of the defects.
     fn at_once(&mut self, program: &Program<'_>, xi: &mut [f64]) -> bool {
-        let mut last = f64::INFINITY;
-        for _ in 0..AT_ONCE {
-            if program.constraints(xi, &mut self.c).is_err() {
-                return false;
-            }
-            let size = self.largest_defect(program, 0..self.blocks.len(), xi, last);
+        // Whether the factors are those of other states, and the defects before the first step with them.
+        let (mut earlier, mut first) = (self.factorised, f64::INFINITY);
+        // Defects before the last step, and before the last one with a Jacobian of its own.
+        let (mut last, mut before) = (f64::INFINITY, f64::INFINITY);
+        let (mut jacobians, mut steps) = (0, 0);
+        loop {
+            let size = match program.constraints(xi, &mut self.c) {
+                Ok(()) => self.largest_defect(program, 0..self.blocks.len(), xi, last),
+                Err(_) => f64::INFINITY,
+            };
             if size <= 1.0 {
-                return true;
+                let by_newton = steps == 0 || steps == 1 && !earlier;
+                return by_newton || size <= SATISFIED_AGAIN || self.step_all(xi);
             }
-            if size >= 0.5 * last || program.interrupt.stops() {
+            if program.interrupt.stops() {
                 return false;
             }
-            last = size;
-            if program.jacobian(xi, &mut self.jacobian).is_err() {
-                return false;
+            let again = self.factorised && steps < WITH_ONE && size < LEAVES * last;
+            if !again && earlier && size > first {
+                // These factors have led away.
+                xi.copy_from_slice(&self.kept);
+                (self.factorised, earlier, steps, last) = (false, false, 0, f64::INFINITY);
+                continue;
             }
-            self.d.fill(0.0);
-            for k in 0..self.blocks.len() {
-                if !self.step_of(k) {
+            if !again {
+                if !size.is_finite() || size >= 0.5 * before || jacobians == AT_ONCE {
                     return false;
                 }
+                self.factorised = false;
+                if program.jacobian(xi, &mut self.jacobian).is_err() || !self.factorise_all() {
+                    return false;
+                }
+                (jacobians, steps, before, earlier) = (jacobians + 1, 0, size, false);
             }
-            xi.iter_mut().zip(&self.d).for_each(|(x, d)| *x += d);
+            if earlier && steps == 0 {
+                first = size;
+            }
+            (steps, last) = (steps + 1, size);
+            if !self.step_all(xi) {
+                return false;
+            }
         }
-        false
+    }
+
+    /// Takes a Newton step of all blocks, with the factors of a Jacobian; whether there is one.
+    fn step_all(&mut self, xi: &mut [f64]) -> bool {
+        self.d.fill(0.0);
+        let found = (0..self.blocks.len()).all(|k| self.step_of(k));
+        xi.iter_mut().zip(&self.d).for_each(|(x, d)| *x += d);
+        found
     }
 
     /// Window after window of blocks of each chain, each from the end of the one before: as many at once as Newton's method
@@ -286,13 +363,15 @@ impl Restoration {
         if marches.iter().any(|m| m.blocks.len() > MOST_BLOCKS) {
             return false;
         }
+        self.factorised = false;
         marches.iter_mut().for_each(|m| self.begin(m, FIRST_WINDOW, xi));
         loop {
             if program.interrupt.stops() {
                 return false;
             }
             // What is not finite is so in the defects of its own block.
-            let _ = program.constraints(xi, &mut self.c);
+            self.rows_of(&marches, |m| !m.window.is_empty());
+            program.constraints_within(xi, &self.ranges, &mut self.c);
             for march in &mut marches {
                 march.todo = self.judge(program, march, xi);
             }
@@ -306,17 +385,30 @@ impl Restoration {
                 }
                 return true;
             }
-            let _ = program.jacobian(xi, &mut self.jacobian);
+            self.rows_of(&marches, |m| m.todo == Todo::Step);
+            program.jacobian_within(xi, &self.ranges, &mut self.jacobian);
             self.d.fill(0.0);
             for march in marches.iter_mut().filter(|m| m.todo == Todo::Step) {
                 let mut window = march.window.clone();
-                if window.all(|k| self.step_of(k)) {
+                if window.all(|k| self.factorise_block(k) && self.step_of(k)) {
                     march.part = 1.0;
                     march.step = self.columns(march).map(|i| self.d[i]).collect();
                     self.columns(march).zip(&march.step).for_each(|(i, d)| xi[i] += d);
                 } else {
                     march.left = 0;
                 }
+            }
+        }
+    }
+
+    /// Sets the ranges of the rows of some windows.
+    fn rows_of(&mut self, marches: &[March], which: impl Fn(&March) -> bool) {
+        self.ranges.clear();
+        for block in marches.iter().filter(|m| which(m)).flat_map(|m| &self.blocks[m.window.clone()]) {
+            let (first, end) = (block.rows[0], block.rows[block.rows.len() - 1] + 1);
+            match self.ranges.last_mut().filter(|r| r.end == first) {
+                Some(range) => range.end = end,
+                None => self.ranges.push(first..end),
             }
         }
     }
@@ -412,16 +504,17 @@ impl Restoration {
         }
     }
 
-    /// The Newton step of a block, given those of the blocks before; whether there is one.
+    /// The Newton step of a block with its factor, given those of the blocks before; whether there is one.
     fn step_of(&mut self, k: usize) -> bool {
         let block = &self.blocks[k];
-        block.fill(&self.jacobian, &mut self.matrix, false);
+        let n = block.rows.len();
         self.right.clear();
         self.right.extend(block.rows.iter().map(|&r| -self.c[r]));
         for &BlockEntry { entry, row: r, column } in &block.others {
             self.right[r] -= self.jacobian[entry] * self.d[column];
         }
-        if !eliminate(&mut self.matrix, &mut self.right, 1) {
+        let (factor, pivots) = (&self.factors[block.factor..][..n * n], &self.pivots[block.pivots..][..n]);
+        if !solve_factorised(factor, pivots, &mut self.right, 1) {
             return false;
         }
         block.columns.iter().zip(&self.right).for_each(|(&i, x)| self.d[i] = *x);

@@ -10,6 +10,7 @@ mod convergence;
 mod declared_noise;
 mod deep;
 mod defects;
+mod eliminated;
 mod estimate;
 mod explain;
 mod factors;

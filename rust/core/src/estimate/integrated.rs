@@ -1,0 +1,127 @@
+//! The log-likelihood of the model integrated with the estimates, which a path on a coarse mesh need not have.
+
+use std::time::{Duration, Instant};
+
+use super::fit::Fit;
+use super::print::short;
+use super::{Estimation, Transcription};
+use crate::collocation::{self, Collocation};
+use crate::error::Error;
+use crate::experiment::Experiment;
+use crate::interrupt::Interrupt;
+use crate::mesh::Grid;
+use crate::nlp::Nlp;
+use crate::problem::Transcribed;
+use crate::simulate::{Method, Simulation};
+use crate::solver::Status;
+
+/// Tolerances of the integration, and of that by an implicit method where the first is not that of the path.
+const TOLERANCE: f64 = 1e-8;
+const TOLERANCE_AGAIN: f64 = 1e-9;
+/// The integration of all records may take so long, or this part of the time limit where that is less, but always a little.
+const LONGEST: Duration = Duration::from_secs(5);
+const LEAST: Duration = Duration::from_millis(100);
+const OF_LIMIT: f64 = 0.05;
+/// Log-likelihoods that differ by more than this are reported.
+const DIFFERENT: f64 = 0.1;
+/// Beyond this difference a run on a mesh that follows the motion has not converged to a solution, whatever it ended with.
+const WRONG: f64 = 1.0;
+
+impl Estimation<'_> {
+    /// Sets the log-likelihood of the integrated model, and says where it is not that of the path: for a run that was cut, and
+    /// where samples are few and the parameters tell where the motion begins.
+    ///
+    /// The integration is independent of any mesh. Long records of unstable motion have no such likelihood, and of a run that
+    /// ends the mesh is examined ([`Fit::integration_error`]).
+    pub(super) fn compare_with_integration(&self, fit: &mut Fit) {
+        let cut = !fit.status.is_end() && fit.iterations > 0;
+        if !fit.transcription.is_collocation() || !(cut || self.parameters_tell_motion()) {
+            return;
+        }
+        let began = Instant::now();
+        let found = self.integrated_log_likelihood(fit);
+        // An integration that took too long says nothing.
+        let known = found.is_ok() || began.elapsed() < self.time_for_integration();
+        fit.integrated = known.then(|| found.as_ref().copied().unwrap_or(f64::NAN));
+        let path = fit.log_likelihood;
+        let text = match found {
+            Err(_) if !fit.feasible => return,
+            Err(e) => format!(
+                "the log-likelihood is that of the path on the mesh; whether the path is a solution is not known, since the \
+                 model could not be integrated with these estimates ({e})"
+            ),
+            Ok(found) if !fit.feasible => format!(
+                "the model integrated with these estimates has the log-likelihood {}",
+                short(found, 6)
+            ),
+            Ok(found) if (found - path).abs() <= DIFFERENT => return,
+            Ok(found) => {
+                if fit.status.is_end() && self.follows_motion() && (found - path).abs() > WRONG {
+                    let status = Status::IterationLimit;
+                    (fit.status, fit.message) = (status, status.hint().into());
+                }
+                format!(
+                    "the model integrated with these estimates has the log-likelihood {}, and not {} as the path on the mesh: the \
+                     mesh is too coarse for this path, or the motion too unstable to be integrated over the record",
+                    short(found, 6),
+                    short(path, 6)
+                )
+            }
+        };
+        fit.message = format!("{}; {text}", fit.message);
+    }
+
+    /// Returns the log-likelihood of the model integrated with the estimates of a fit, also where the time of the estimation is
+    /// over.
+    pub(super) fn integrated_log_likelihood(&self, fit: &Fit) -> Result<f64, Error> {
+        let limit = Some(self.time_for_integration());
+        let by = |tolerance, method| self.integrated(fit, tolerance, method);
+        Interrupt::shielded(|| {
+            Interrupt::within(limit).run(|| {
+                let found = by(TOLERANCE, Method::Automatic);
+                if found.as_ref().is_ok_and(|l| (l - fit.log_likelihood).abs() <= DIFFERENT) {
+                    return found;
+                }
+                // An explicit step may cross a pole next to the solution unnoticed, as that of saturated kinetics.
+                by(TOLERANCE_AGAIN, Method::Implicit).or(found)
+            })
+        })
+    }
+
+    fn time_for_integration(&self) -> Duration {
+        let part = self.solver.time_limit.map_or(LONGEST, |t| t.mul_f64(OF_LIMIT));
+        if self.outside.stops() { LEAST } else { part.clamp(LEAST, LONGEST) }
+    }
+
+    fn integrated(&self, fit: &Fit, tolerance: f64, method: Method) -> Result<f64, Error> {
+        // With delays, of the model without them on records that were moved; kinks are integrated as they are.
+        let moved = fit.moved.as_ref().filter(|_| !self.model.delays.is_empty());
+        let (of, model, experiments): (&Fit, _, &[Experiment]) = match moved {
+            Some(moved) => (&moved.fit, &moved.fit.model, &moved.experiments),
+            None => (fit, self.model, self.experiments),
+        };
+        let path =
+            |run: &Experiment| Simulation::new(model, run).fit(of).tolerance(tolerance).method(method).run();
+        let paths = experiments.iter().map(path).collect::<Result<Vec<_>, _>>()?;
+        // The trapezoid between samples has no points but these.
+        let settings = collocation::Settings {
+            order: 2,
+            grid: vec![Grid::Samples(1)],
+            noise_per_experiment: self.noise.per_experiment,
+            ..match &self.transcription {
+                Transcription::Collocation(settings) => settings.clone(),
+                Transcription::Shooting(_) => collocation::Settings::default(),
+            }
+        };
+        let problem = Collocation::new(model, experiments, self.checked_noise()?, &settings)?;
+        let n_theta = problem.layout().n_theta;
+        let mut xi = of.solution.xi[..n_theta].to_vec();
+        for path in &paths {
+            xi.extend((0..path.t.len()).flat_map(|k| path.states.iter().map(move |x| x[k])));
+        }
+        let objective = problem.objective(&xi);
+        objective
+            .map(|value| problem.posed().prior_terms(&xi) - value)
+            .map_err(|_| Error::evaluation("an output or its noise is not finite along the solution".into()))
+    }
+}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from functools import partial
-from itertools import combinations, combinations_with_replacement, permutations
+from itertools import combinations, combinations_with_replacement, permutations, product
 
 from ..._core import Expr
 from ...modelling.model import Model
@@ -25,7 +25,7 @@ from .channel_effects import (
     SensorLag,
     SensorScale,
 )
-from .factors import EquationScale, FactorLaw
+from .factors import EquationScale, FactorLaw, ParameterLaw
 from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
 from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable
@@ -76,6 +76,11 @@ class Catalogue:
                 yield from (c for c in self._on_input(variable) if acts or c.family in _OF_CONDITIONS)
         yield from self._of_the_medium()
         yield from self._limits()
+        conditions = [v for v in self.structure.variables if v.kind == "input" and model.is_condition(v.symbol)]
+        for name, x in product(self.structure.acting, conditions):
+            words, place = f"{name} changes with {x.shown}", Place("parameter", name)
+            d = self.names(f"{name}_{x.shown}")
+            yield ParameterLaw(f"{name}:{x.shown}", place, words, "dependence", self.scales, (d,), (), (x.symbol,))
         for name in self.structure.acting:
             words, place = f"{name} changes during the record", Place("parameter", name)
             yield ParameterDrift(

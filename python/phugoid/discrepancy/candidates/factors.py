@@ -16,7 +16,7 @@ from .candidate import Candidate, Effect, ExtensionBuilder
 from .channel_effects import Scale
 from .scales import of
 
-__all__ = ["EquationScale", "FactorLaw"]
+__all__ = ["EquationScale", "FactorLaw", "ParameterLaw"]
 
 _Array = NDArray[np.float64]
 
@@ -106,3 +106,27 @@ class FactorLaw(Effect):
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         largest = max(float(np.abs(self._logarithm(p)).max()) for p in points)
         return {self.coefficients[0]: tuple(float(np.log(f)) / max(largest, 1e-300) for f in _FACTOR)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ParameterLaw(Effect):
+    """The parameter p becomes p + d (x - x0) with a condition x, the ``variables``' only one: a derivative that changes
+    with the Mach number, or a term with another exponent of the airspeed."""
+
+    @property
+    def centred(self) -> bool:
+        return True
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        (name,) = self.variables
+        return (points.values[name] - self.scales.centre(name))[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        (name,) = self.variables
+        d, centre, p = extension.parameter(self.coefficients[0]), self.scales.centre(name), self.place.name
+        extension.replace_parameter(p, Expr.symbol(p) + d * (Expr.symbol(name) - centre))
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        return {self.coefficients[0]: (-np.inf, np.inf)}

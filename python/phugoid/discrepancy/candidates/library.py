@@ -46,6 +46,7 @@ FAMILIES = (
     "backlash",
     "rate_limit",
     "clipped",
+    "dependence",
     "variation",
     "step",
     "stribeck",

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
-from ...errors import DataError, ModelError, PhugoidError
+from ...errors import DataError, EvaluationError, ModelError, PhugoidError
 from ...estimation import estimate
 from ...fit_result import ENDED_WELL, FitResult, dataset, mean_square
 from ...frozen_model import estimates_of, freed_by_default, freeze_model, freeze_noise, mesh_for
@@ -349,17 +349,23 @@ def on_other_data(
     before = {} if near is None else Refit((), near.fit).rms
     usual = {n: max(rms, before.get(n, 0.0)) for n, rms in refit.rms.items()}
     best: FitResult | None = None
+    reason = ""
     limit = max(_ELSEWHERE, _TIMES * fit.time)
     for start in starts:
         # From another model's path, or where only first states are wrong, few iterations lead to this model's.
         few = best is not None or start is not starts[-1]
         solver = Newton(max_iterations=_ITERATIONS if few else _PATIENT, time_limit=limit)
-        found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)
+        try:
+            found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)
+        except EvaluationError as error:  # a root of a level that noise takes below zero, say
+            reason = str(error)
+            continue
         if found.status == "time limit":
             check_time()  # that of the diagnosis
         if found.status == "interrupted":
             raise KeyboardInterrupt
         if found.status not in (*ENDED_WELL, "unidentifiable"):
+            reason = found.message
             continue
         if best is None or found.log_likelihood > best.log_likelihood:
             best = found
@@ -367,7 +373,7 @@ def on_other_data(
         if all(rms <= _FAR * usual[n] for n, rms in Refit((), best).rms.items()):
             break
     if best is None:
-        raise DataError(f"diagnose: the model cannot be fitted to the validation record: {found.message}")
+        raise DataError(f"diagnose: the model cannot be fitted to the validation record: {reason}")
     return Linearised(best)
 
 

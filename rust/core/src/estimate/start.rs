@@ -43,6 +43,9 @@ impl From<Vec<Vec<f64>>> for Start {
 /// A start may lie outside its bounds by this part of its size.
 const AT_BOUND: f64 = 1e-9;
 
+/// Part of its greatest value by which noise may take a state below zero, and which it then starts with at least.
+const LITTLE_BELOW: f64 = 0.3;
+const LEAST_LEVEL: f64 = 1e-3;
 /// Where states are tried of which nothing is known, where the model has no finite derivatives at 0.
 const ELSEWHERE: [f64; 4] = [1.0, 10.0, 0.1, -1.0];
 
@@ -235,11 +238,15 @@ impl<'a> Given<'a> {
         let unknown: Vec<usize> = (0..known.len()).filter(|&i| !known[i]).filter(is_constant).collect();
         let bounds: Vec<(f64, f64)> = self.model.states.iter().map(Variable::bounds).collect();
         let inside = unknown.iter().all(|&i| bounds[i].0 < 0.0 && 0.0 < bounds[i].1);
-        if unknown.is_empty() || inside && is_finite(problem, xi) {
+        let finite = is_finite(problem, xi);
+        if finite && inside {
             return Vec::new();
         }
         let mut found: Vec<Vec<f64>> = Vec::new();
-        for value in ELSEWHERE {
+        if !finite {
+            found.extend(without_noise_below_zero(problem, xi).filter(|trial| is_finite(problem, trial)));
+        }
+        for value in if unknown.is_empty() { &[] } else { ELSEWHERE.as_slice() }.iter().copied() {
             let mut trial = xi.to_vec();
             for states in trial[problem.layout().n_theta..].chunks_exact_mut(known.len()) {
                 unknown.iter().for_each(|&i| states[i] = value.max(bounds[i].0).min(bounds[i].1));
@@ -250,6 +257,22 @@ impl<'a> Given<'a> {
         }
         found
     }
+}
+
+/// Variables whose states that are above zero but for little are so everywhere: noise takes a measured level or concentration
+/// below zero, where its root or logarithm is not defined. None where there is no such state.
+fn without_noise_below_zero(problem: &dyn Transcribed, xi: &[f64]) -> Option<Vec<f64>> {
+    let (first, n_x) = (problem.layout().n_theta, problem.layout().n_x);
+    let mut found = xi.to_vec();
+    for i in 0..n_x {
+        let path = || xi[first + i..].iter().step_by(n_x);
+        let (low, high) = path().fold((0.0_f64, 0.0_f64), |(low, high), &x| (low.min(x), high.max(x)));
+        if -low < LITTLE_BELOW * high {
+            let least = LEAST_LEVEL * high;
+            found[first + i..].iter_mut().step_by(n_x).for_each(|x| *x = x.max(least));
+        }
+    }
+    (found != xi).then_some(found)
 }
 
 /// Whether functions and first derivatives are finite.

@@ -66,3 +66,15 @@ macro_rules! kernel {
 }
 
 pub(crate) use kernel;
+
+/// Returns the array of what `f` gives for each index. Where a crate is compiled in several units and without link-time optimisation
+/// (the profile `demo`), a kernel calls functions of the standard library that are not marked `#[inline]`, and so
+/// `std::array::from_fn` for every lane, and what begins a `zip` for every loop.
+#[inline(always)]
+pub(crate) fn array_of<T: Copy + Default, const N: usize>(f: impl Fn(usize) -> T) -> [T; N] {
+    let mut out = [T::default(); N];
+    for (l, out) in out.iter_mut().enumerate() {
+        *out = f(l);
+    }
+    out
+}

@@ -72,7 +72,12 @@ impl ArrowKkt {
             }
             let (these, own) = (size * first..size * (first + count), k * first..k * (first + count));
             let mut of_these = vec![0.0; size * count];
-            add_large_product(&mut of_these, of_border.as_slice(), &back.as_slice()[these], [size, size, count]);
+            add_large_product(
+                &mut of_these,
+                of_border.as_slice(),
+                &back.as_slice()[these],
+                [size, size, count],
+            );
             add_large_product(&mut all.as_mut_slice()[own], follow.as_slice(), &of_these, [k, size, count]);
         }
         for (i, row) in out.chunks_exact_mut(k).enumerate() {

@@ -35,8 +35,10 @@ pub(super) fn sum_rows<const V: usize>(
         let mask: &[[f64; 8]; V] = mask.as_chunks().0.first_chunk().expect("V vectors");
         let from: &[[f64; 8]; V] = from.as_chunks().0.first_chunk().expect("V vectors");
         let to: &mut [[f64; 8]; V] = to.as_chunks_mut().0.first_chunk_mut().expect("V vectors");
-        let mut sum: [[f64; 8]; V] =
-            array_of(|v| array_of(|l| mask[v][l] * from[v][l]));
+        let mut sum = [[0.0; 8]; V];
+        for v in 0..V {
+            sum[v] = array_of(|l| mask[v][l] * from[v][l]);
+        }
         // Not a chain of iterators: their state would go through memory, which costs more than the sums.
         for r in 0..factors.len() {
             let row: &[[f64; 8]; V] = rows[r * stride..].as_chunks().0.first_chunk().expect("V vectors");

@@ -66,15 +66,3 @@ macro_rules! kernel {
 }
 
 pub(crate) use kernel;
-
-/// Returns the array of what `f` gives for each index. Where a crate is compiled in several units and without link-time optimisation
-/// (the profile `demo`), a kernel calls functions of the standard library that are not marked `#[inline]`, and so
-/// `std::array::from_fn` for every lane, and what begins a `zip` for every loop.
-#[inline(always)]
-pub(crate) fn array_of<const N: usize>(f: impl Fn(usize) -> f64) -> [f64; N] {
-    let mut out = [0.0; N];
-    for (l, out) in out.iter_mut().enumerate() {
-        *out = f(l);
-    }
-    out
-}

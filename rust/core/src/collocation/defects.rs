@@ -11,7 +11,7 @@ use crate::nlp::Part;
 use crate::problem::ParameterMap;
 use crate::problem::disjoint::Disjoint;
 use crate::problem::layout::Layout;
-use crate::simd::{array_of, kernel};
+use crate::simd::kernel;
 use crate::tape::lanes::{all_finite, combination, load, scaled};
 use crate::tape::{Function, LANE_MULTIPLE, Sinks, Tape, Values, Workspace};
 
@@ -313,7 +313,7 @@ impl DefectRow<'_> {
         let change: [f64; W] = combination(self.chunk.terms(self.k), self.f, s);
         let (a, b): ([f64; W], [f64; W]) = (load(self.x, self.ends.0 + s), load(self.x, self.ends.1 + s));
         let h: [f64; W] = load(&self.chunk.h, s);
-        let d: [f64; W] = array_of(|l| h[l].mul_add(-change[l], b[l] - a[l]));
+        let d: [f64; W] = std::array::from_fn(|l| h[l].mul_add(-change[l], b[l] - a[l]));
         for (l, d) in d.iter().enumerate() {
             rows[(s + l) * self.stride] = *d;
         }
@@ -378,7 +378,7 @@ fn write_entries(
     ) {
         let sum: [f64; W] = combination(terms, v, s);
         let h: [f64; W] = load(h, s);
-        let out: [f64; W] = array_of(|l| h[l].mul_add(-sum[l], step));
+        let out: [f64; W] = std::array::from_fn(|l| h[l].mul_add(-sum[l], step));
         run[s..s + W].copy_from_slice(&out);
     }
     let (n, whole) = (run.len(), run.len() - run.len() % LANE_MULTIPLE);

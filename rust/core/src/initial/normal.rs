@@ -2,7 +2,7 @@
 
 use crate::interrupt::current;
 use crate::nlp::Structure;
-use crate::simd::{array_of, kernel};
+use crate::simd::kernel;
 
 /// Rows gathered before they are added to the normal matrix: they stay in a cache.
 const ROWS: usize = 512;
@@ -126,13 +126,13 @@ kernel! {
     fn add_row(row: &[f64], w: f64, wc: f64, k: usize, square: &mut [f64], right: &mut [f64]) {
         let vectors = row.as_chunks::<8>().0;
         for (t, r) in right.as_chunks_mut::<8>().0.iter_mut().zip(vectors) {
-            *t = array_of(|l| wc.mul_add(r[l], t[l]));
+            *t = std::array::from_fn(|l| wc.mul_add(r[l], t[l]));
         }
         for (i, to) in square.chunks_exact_mut(row.len()).enumerate().take(k) {
             if row[i] != 0.0 {
                 let factor = w * row[i];
                 for (t, r) in to.as_chunks_mut::<8>().0.iter_mut().zip(&vectors[..=i / 8]) {
-                    *t = array_of(|l| factor.mul_add(r[l], t[l]));
+                    *t = std::array::from_fn(|l| factor.mul_add(r[l], t[l]));
                 }
             }
         }

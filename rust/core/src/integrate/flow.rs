@@ -10,7 +10,6 @@
 use super::group::{Group, Lane, Sampled};
 use super::tableau::Tableau;
 use crate::interrupt::current;
-use crate::simd::array_of;
 use crate::tape::{BLOCK, Function, LANE_MULTIPLE, Tape, Workspace};
 
 /// A group with what its integration needs.
@@ -147,7 +146,7 @@ impl Flow<'_> {
             tape.run(registers, uniforms, n);
             for (operand, k) in tape.outputs.iter().zip(k.as_chunks_mut::<W>().0) {
                 let value = tape.read(*operand, registers, uniforms, n);
-                *k = array_of(|l| value.at(l));
+                *k = std::array::from_fn(|l| value.at(l));
             }
         };
         self.steps::<W>(tape.instructions() * n, x, k, slope) && m.points.x.iter().all(|x| x.is_finite())

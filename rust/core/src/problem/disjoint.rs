@@ -21,7 +21,6 @@ impl<'a> Disjoint<'a> {
     ///
     /// # Safety
     /// No two parts that are alive at one time may overlap.
-    #[inline]
     #[allow(clippy::mut_from_ref)]
     pub(crate) unsafe fn part(&self, at: usize, len: usize) -> &mut [f64] {
         assert!(at + len <= self.len);

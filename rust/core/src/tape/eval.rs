@@ -1,12 +1,10 @@
 //! Running a tape on one block of lanes.
 
-#![allow(clippy::needless_range_loop)] // `zip` would be a call in kernels, as `simd::array_of` says
-
 use super::lanes::{Values, scaled, sum};
 use super::{Code, Instruction, LANE_MULTIPLE, Operand, Sink, Tape, UniformInstruction};
 use crate::expr::{Lookup, Op};
 use crate::math;
-use crate::simd::{array_of, kernel};
+use crate::simd::kernel;
 
 /// A cache line. Registers start on one, so that no vector straddles two.
 #[derive(Clone, Copy, Debug)]
@@ -80,7 +78,6 @@ impl Tape {
     }
 
     /// The values of an operand after a run: `n` lanes, or one number for all.
-    #[inline]
     pub fn read<'a>(
         &self,
         operand: Operand,
@@ -115,10 +112,8 @@ pub struct Sinks<'a> {
 #[inline(always)]
 fn map1(d: &mut [f64], a: &[f64], f: impl Fn(f64) -> f64) {
     let (d, a) = (d.as_chunks_mut::<LANE_MULTIPLE>().0, a.as_chunks::<LANE_MULTIPLE>().0);
-    let a = &a[..d.len()];
-    for i in 0..d.len() {
-        let a = a[i];
-        d[i] = array_of(|l| f(a[l]));
+    for (d, &a) in d.iter_mut().zip(a) {
+        *d = std::array::from_fn(|l| f(a[l]));
     }
 }
 
@@ -126,10 +121,8 @@ fn map1(d: &mut [f64], a: &[f64], f: impl Fn(f64) -> f64) {
 fn map2(d: &mut [f64], a: &[f64], b: &[f64], f: impl Fn(f64, f64) -> f64) {
     let (d, a) = (d.as_chunks_mut::<LANE_MULTIPLE>().0, a.as_chunks::<LANE_MULTIPLE>().0);
     let b = b.as_chunks::<LANE_MULTIPLE>().0;
-    let (a, b) = (&a[..d.len()], &b[..d.len()]);
-    for i in 0..d.len() {
-        let (a, b) = (a[i], b[i]);
-        d[i] = array_of(|l| f(a[l], b[l]));
+    for ((d, &a), &b) in d.iter_mut().zip(a).zip(b) {
+        *d = std::array::from_fn(|l| f(a[l], b[l]));
     }
 }
 
@@ -137,10 +130,8 @@ fn map2(d: &mut [f64], a: &[f64], b: &[f64], f: impl Fn(f64, f64) -> f64) {
 fn map3(d: &mut [f64], a: &[f64], b: &[f64], c: &[f64], f: impl Fn(f64, f64, f64) -> f64) {
     let (d, a) = (d.as_chunks_mut::<LANE_MULTIPLE>().0, a.as_chunks::<LANE_MULTIPLE>().0);
     let (b, c) = (b.as_chunks::<LANE_MULTIPLE>().0, c.as_chunks::<LANE_MULTIPLE>().0);
-    let (a, b, c) = (&a[..d.len()], &b[..d.len()], &c[..d.len()]);
-    for i in 0..d.len() {
-        let (a, b, c) = (a[i], b[i], c[i]);
-        d[i] = array_of(|l| f(a[l], b[l], c[l]));
+    for (((d, &a), &b), &c) in d.iter_mut().zip(a).zip(b).zip(c) {
+        *d = std::array::from_fn(|l| f(a[l], b[l], c[l]));
     }
 }
 

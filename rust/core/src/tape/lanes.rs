@@ -1,10 +1,7 @@
 //! Loops over lanes outside the tape: to be called from functions compiled for each instruction
 //! set, into which they are inlined.
 
-#![allow(clippy::needless_range_loop)] // `zip` would be a call in kernels, as `simd::array_of` says
-
 use super::LANE_MULTIPLE;
-use crate::simd::array_of;
 
 /// Values of an output over the lanes of a block.
 #[derive(Clone, Copy, Debug)]
@@ -37,7 +34,7 @@ type Vector = [f64; LANE_MULTIPLE];
 
 #[inline(always)]
 fn plus(a: Vector, b: Vector) -> Vector {
-    array_of(|l| a[l] + b[l])
+    std::array::from_fn(|l| a[l] + b[l])
 }
 
 /// The sum in a fixed order: four vectors of partial sums, so that no addition waits for the one
@@ -76,7 +73,7 @@ pub(crate) fn combination<const W: usize>(
             Values::Uniform(u) => [u; W],
             Values::Lanes(v) => load(v, lane + s),
         };
-        sum = array_of(|l| c.mul_add(v[l], sum[l]));
+        sum = std::array::from_fn(|l| c.mul_add(v[l], sum[l]));
     }
     sum
 }
@@ -87,9 +84,8 @@ pub(crate) fn scaled(out: &mut [f64], factor: f64, v: Values<'_>, lane: usize) {
     match v {
         Values::Uniform(u) => out.fill(factor * u),
         Values::Lanes(v) => {
-            let v = &v[lane..][..out.len()];
-            for l in 0..out.len() {
-                out[l] = factor * v[l];
+            for (o, v) in out.iter_mut().zip(&v[lane..]) {
+                *o = factor * v;
             }
         }
     }

@@ -4,14 +4,11 @@
 //! H and K are lists of what is not zero. Z and H Z are collected until they fill the nearest caches;
 //! then products of slim matrices add them all, their blocks in registers.
 
-#![allow(clippy::needless_range_loop)] // `zip` would be a call in kernels, as `simd::array_of` says
-
 use super::part::Part;
 use super::piece::Piece;
 use super::run::Run;
 use super::shape::Shape;
 use super::vectors::{axpy, for_vectors};
-use crate::simd::array_of;
 
 /// Rows of a part that are collected: two matrices of as many rows of some 30 columns stay in the first cache.
 const ROWS: usize = 64;
@@ -203,15 +200,15 @@ fn add_block<const V: usize>(rows: usize, a: &[f64], width: usize, b: &[f64], le
         let a: &[f64; BLOCK] = a[r * width..].first_chunk().expect("a block");
         let b: &[[f64; 8]; V] = b[r * length..].as_chunks().0.first_chunk().expect("V vectors");
         for i in 0..BLOCK {
-            for v in 0..V {
-                sums[i][v] = array_of(|l| a[i].mul_add(b[v][l], sums[i][v][l]));
+            for (sum, b) in sums[i].iter_mut().zip(b) {
+                *sum = std::array::from_fn(|l| a[i].mul_add(b[l], sum[l]));
             }
         }
     }
     for i in 0..BLOCK {
         let to: &mut [[f64; 8]; V] = to[i * length..].as_chunks_mut().0.first_chunk_mut().expect("V vectors");
-        for v in 0..V {
-            to[v] = array_of(|l| to[v][l] + sums[i][v][l]);
+        for (to, sum) in to.iter_mut().zip(&sums[i]) {
+            *to = std::array::from_fn(|l| to[l] + sum[l]);
         }
     }
 }

@@ -1,9 +1,5 @@
 //! Rows of whole vectors of eight, for the panels of segments: with their number known, sums stay in registers.
 
-#![allow(clippy::needless_range_loop)] // `zip` would be a call in kernels, as `simd::array_of` says
-
-use crate::simd::array_of;
-
 /// to += a · from. `V` is the number of vectors of eight where it is known (the loop is then unrolled),
 /// else 0.
 #[inline(always)]
@@ -11,8 +7,8 @@ pub(super) fn axpy<const V: usize>(to: &mut [f64], a: f64, from: &[f64]) {
     if V > 0 {
         let to: &mut [[f64; 8]; V] = to.as_chunks_mut().0.first_chunk_mut().expect("V vectors");
         let from: &[[f64; 8]; V] = from.as_chunks().0.first_chunk().expect("V vectors");
-        for v in 0..V {
-            to[v] = array_of(|l| a.mul_add(from[v][l], to[v][l]));
+        for (t, f) in to.iter_mut().zip(from) {
+            *t = std::array::from_fn(|l| a.mul_add(f[l], t[l]));
         }
     } else {
         for (t, f) in to.iter_mut().zip(from) {
@@ -35,15 +31,13 @@ pub(super) fn sum_rows<const V: usize>(
         let mask: &[[f64; 8]; V] = mask.as_chunks().0.first_chunk().expect("V vectors");
         let from: &[[f64; 8]; V] = from.as_chunks().0.first_chunk().expect("V vectors");
         let to: &mut [[f64; 8]; V] = to.as_chunks_mut().0.first_chunk_mut().expect("V vectors");
-        let mut sum = [[0.0; 8]; V];
-        for v in 0..V {
-            sum[v] = array_of(|l| mask[v][l] * from[v][l]);
-        }
+        let mut sum: [[f64; 8]; V] =
+            std::array::from_fn(|v| std::array::from_fn(|l| mask[v][l] * from[v][l]));
         // Not a chain of iterators: their state would go through memory, which costs more than the sums.
         for r in 0..factors.len() {
             let row: &[[f64; 8]; V] = rows[r * stride..].as_chunks().0.first_chunk().expect("V vectors");
-            for v in 0..V {
-                sum[v] = array_of(|l| factors[r].mul_add(row[v][l], sum[v][l]));
+            for (s, x) in sum.iter_mut().zip(row) {
+                *s = std::array::from_fn(|l| factors[r].mul_add(x[l], s[l]));
             }
         }
         *to = sum;
@@ -87,9 +81,8 @@ pub(super) use for_vectors;
 #[inline(always)]
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut sum = [0.0; 8];
-    let (a, b) = (a.as_chunks::<8>().0, b.as_chunks::<8>().0);
-    for v in 0..a.len().min(b.len()) {
-        sum = array_of(|l| a[v][l].mul_add(b[v][l], sum[l]));
+    for (&a, &b) in a.as_chunks::<8>().0.iter().zip(b.as_chunks::<8>().0) {
+        sum = std::array::from_fn(|l| a[l].mul_add(b[l], sum[l]));
     }
     let [a, b, c, d, e, f, g, h] = sum;
     ((a + e) + (b + f)) + ((c + g) + (d + h))

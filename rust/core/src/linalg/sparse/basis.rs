@@ -19,12 +19,10 @@
 //! have none they take part: a system that first decays and then grows ends where it does only for the
 //! right parameter, which is then determined rather than free.
 
-#![allow(clippy::needless_range_loop)] // `zip` would be a call in kernels, as `simd::array_of` says
-
 use super::order::minimum_degree;
 use super::rows::Rows;
 use crate::interrupt::current;
-use crate::simd::{array_of, kernel};
+use crate::simd::kernel;
 
 /// A variable that stands in this many times as many constraints as the median is heavy.
 const HEAVY: usize = 8;
@@ -448,7 +446,7 @@ kernel! {
 #[inline(always)]
 pub(super) fn axpy(to: &mut [f64], a: f64, from: &[f64]) {
     let (to, from) = (to.as_chunks_mut::<8>().0, from.as_chunks::<8>().0);
-    for v in 0..to.len().min(from.len()) {
-        to[v] = array_of(|l| a.mul_add(from[v][l], to[v][l]));
+    for (t, &f) in to.iter_mut().zip(from) {
+        *t = std::array::from_fn(|l| a.mul_add(f[l], t[l]));
     }
 }

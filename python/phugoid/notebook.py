@@ -193,7 +193,8 @@ def readable(text: str) -> str:
     """
     text = _CLIP.sub(r"clip(\1, ±\2)", text)
     text = re.sub(r"(\w+) \+ \(-\((clip\(\1, ±\w+\))\)\)", r"\1 - \2", text)
-    return re.sub(r"(\w+) \+ (clip\(\1, ±\w+\)) - \1(?!\w)", r"\2", text)
+    text = re.sub(r"(\w+) \+ (clip\(\1, ±\w+\)) - \1(?!\w)", r"\2", text)
+    return re.sub(r"(?<!\w)\((clip\(\w+, ±\w+\))\)", r"\1", text)  # parentheses that what went had needed
 
 
 def equation(left: str, right: Expr, new: Collection[str] = (), *, rate: bool = False, cut: int | None = None) -> Html:

@@ -9,8 +9,9 @@ use std::cell::RefCell;
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{LltError, cholesky_in_place, cholesky_in_place_scratch};
+use faer::linalg::matmul::matmul;
 use faer::prelude::{ReborrowMut, default};
-use faer::{MatMut, MatRef, Par};
+use faer::{Accum, MatMut, MatRef, Par};
 
 use crate::interrupt::current;
 use crate::simd::kernel;
@@ -192,6 +193,12 @@ pub fn add_transposed_product(out: &mut [f64], a: &[f64], b: &[f64], [m, k, n]: 
             }
         }
     }
+}
+
+/// Adds the product of two large matrices, a (m, k) and b (k, n), to a third (m, n). Unlike the others, these stand column by column.
+pub fn add_large_product(out: &mut [f64], a: &[f64], b: &[f64], [m, k, n]: [usize; 3]) {
+    let (a, b) = (MatRef::from_column_major_slice(a, m, k), MatRef::from_column_major_slice(b, k, n));
+    matmul(MatMut::from_column_major_slice_mut(out, m, n), Accum::Add, a, b, 1.0, Par::Seq);
 }
 
 /// out = a bᵀ, with a (m, k) and b (n, k).

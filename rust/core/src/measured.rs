@@ -34,11 +34,15 @@ impl Model {
         self.parameters.iter().zip(parameters).map(|(p, v)| (p.name.as_str().into(), *v)).collect()
     }
 
+    /// What changes in the course of a record.
+    fn varying(&self) -> HashSet<&str> {
+        self.states.iter().chain(&self.inputs).map(|v| v.name.as_str()).chain([TIME]).collect()
+    }
+
     /// For each state, the output that measures it: one that depends on no other state, input or time, and
     /// on this one linearly, with these parameters.
     pub fn measured_states(&self, parameters: &[f64]) -> Vec<Option<Measured>> {
-        let varying: HashSet<&str> =
-            self.states.iter().chain(&self.inputs).map(|v| v.name.as_str()).chain([TIME]).collect();
+        let varying = self.varying();
         let mut numbers = self.values(parameters);
         let mut found: Vec<Option<Measured>> = self.states.iter().map(|_| None).collect();
         for (output, expr) in self.expanded().1.iter().enumerate() {
@@ -63,8 +67,8 @@ impl Model {
         found
     }
 
-    /// Samples of a state that no output measures by itself: of an output on which it acts linearly, beside states that
-    /// are known, inputs and time, such as a vane ahead of the centre of gravity, alpha - l q / V. `known` holds the
+    /// Samples of a state that no output measures by itself: of an output on which it acts with a constant slope, beside
+    /// states that are known, inputs and time, such as a vane ahead of the centre of gravity, alpha - l q / V. `known` holds the
     /// others at the samples, where they are. Times and values; none where there is no such output.
     pub(crate) fn measured_beside_others(
         &self,
@@ -74,6 +78,7 @@ impl Model {
         known: &[Option<Vec<f64>>],
     ) -> Option<(Vec<f64>, Vec<f64>)> {
         let name: Arc<str> = self.states[state].name.as_str().into();
+        let varying = self.varying();
         let number = |s: &str| self.states.iter().position(|x| x.name == s);
         let mut numbers = self.values(parameters);
         let step = experiment.t.len().div_ceil(MOST);
@@ -83,7 +88,7 @@ impl Model {
             let others = symbols.iter().filter_map(|s| number(s)).filter(|&i| i != state);
             let others: Vec<usize> = others.collect();
             if !symbols.contains(&name)
-                || slope.symbols().contains(&name)
+                || slope.symbols().iter().any(|s| varying.contains(&**s))
                 || others.iter().any(|&i| known[i].is_none())
             {
                 continue;

@@ -49,6 +49,8 @@ _MARGIN = 8.0
 # Filters that take noise away and leave steps and doublets of the pilot, in samples: running medians, and means whose
 # weights fall with the distance in time and, within a part of the noise, in the filtered value.
 _MEDIANS, _MEANS = (5, 11), (8, 20, 60)
+# Widths of plain means, in samples, for an input that wanders by as much as its noise.
+_SMOOTH = (1.5, 3.0)
 _FIRST, _ALIKE = 5, 1.5
 # Part of the misfit that another clock must explain.
 _MOST_OF_IT = 0.5
@@ -201,7 +203,10 @@ def _without_noise(at: Whitened, name: str) -> list[Experiment]:
     if place not in linear.places or any(noise_of(u) == 0.0 for u in inputs):
         return []
     filtered = [
-        [_median(u, size) for size in _MEDIANS] + [_edge_preserving(u, width) for width in _MEANS] for u in inputs
+        [_median(u, size) for size in _MEDIANS]
+        + [_edge_preserving(u, width) for width in _MEANS]
+        + [_smooth(u, width) for width in _SMOOTH]
+        for u in inputs
     ]
     signals = [
         np.stack([np.interp(p.t, e.t, row - u) for row in rows])
@@ -232,6 +237,13 @@ def _median(u: _Array, size: int) -> _Array:
     from scipy.ndimage import median_filter  # not at import: it takes its time
 
     return np.asarray(median_filter(u, size, mode="nearest"))
+
+
+def _smooth(u: _Array, width: float) -> _Array:
+    """Filter by means with the weights of a normal density: of what wanders there are no steps to keep."""
+    reach = int(np.ceil(4.0 * width))
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
+    return np.convolve(np.pad(u, reach, mode="edge"), weights / weights.sum(), mode="valid")
 
 
 def _edge_preserving(u: _Array, width: int) -> _Array:

@@ -44,6 +44,7 @@ class RemainderSettings:
     most       part of the misfit below which the terms of a search do not explain most of it.
     functions  unknown functions that are fitted, the likeliest to first order.
     motion     correlation with what neighbours in the motion have, beyond which a time history is no random one.
+    beside_drift  part of the misfit that a disturbance must explain beside a parameter that drifts.
     bursts     part of the squares of a time history in a tenth of the time, beyond which it is no stationary random
                one: of normal values that is 0.44.
     """
@@ -58,6 +59,7 @@ class RemainderSettings:
     functions: int = 2
     motion: float = 0.35
     bursts: float = 0.8
+    beside_drift: float = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +272,10 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
     # What the terms explain in free simulation is no disturbance.
     by_terms = search.assessment.explained(search.cache.base, option.at) if option.at.candidates else None
     left = 1.0 - by_terms.part if by_terms is not None else 1.0
-    if min(_share(search, option.at, d), left) < search.assessment.settings.minor:
+    # A parameter that drifts seldom does so along a straight line, and what is left of that is no noise.
+    drifts = any(getattr(c, "family", "") == "variation" for c in option.at.candidates)
+    least = s.beside_drift if drifts else search.assessment.settings.minor
+    if min(_share(search, option.at, d), left) < least:
         return None
     held_out = float("nan")
     if d.kind in ("noise", "event"):

@@ -49,7 +49,7 @@ _MARGIN = 8.0
 # Filters that take noise away and leave steps and doublets of the pilot, in samples: running medians, and means whose
 # weights fall with the distance in time and, within a part of the noise, in the filtered value.
 _MEDIANS, _MEANS = (5, 11), (8, 20, 60)
-# Widths of plain means, in samples, for an input that wanders by as much as its noise.
+# Widths of plain means, in samples, for an input that wanders.
 _SMOOTH = (1.5, 3.0)
 _FIRST, _ALIKE = 5, 1.5
 # Part of the misfit that another clock must explain.

@@ -6,7 +6,7 @@ use super::fit::Fit;
 use super::print::short;
 use super::{Estimation, Transcription};
 use crate::collocation::{self, Collocation};
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::experiment::Experiment;
 use crate::interrupt::Interrupt;
 use crate::mesh::Grid;
@@ -35,7 +35,9 @@ impl Estimation<'_> {
     /// ends the mesh is examined ([`Fit::integration_error`]).
     pub(super) fn compare_with_integration(&self, fit: &mut Fit) {
         let cut = !fit.status.is_end() && fit.iterations > 0;
-        if !fit.transcription.is_collocation() || !(cut || self.parameters_tell_motion()) {
+        // Of an input that is late the derivative is an input, too, which no integration follows through its jumps.
+        let simple = fit.transcription.is_collocation() && self.model.delays.is_empty();
+        if !simple || !(cut || self.parameters_tell_motion()) {
             return;
         }
         let began = Instant::now();
@@ -45,7 +47,7 @@ impl Estimation<'_> {
         fit.integrated = known.then(|| found.as_ref().copied().unwrap_or(f64::NAN));
         let path = fit.log_likelihood;
         let text = match found {
-            Err(_) if !fit.feasible => return,
+            Err(e) if !fit.feasible || e.kind() == ErrorKind::Data => return,
             Err(e) => format!(
                 "the log-likelihood is that of the path on the mesh; whether the path is a solution is not known, since the \
                  model could not be integrated with these estimates ({e})"
@@ -118,6 +120,9 @@ impl Estimation<'_> {
         let mut xi = of.solution.xi[..n_theta].to_vec();
         for path in &paths {
             xi.extend((0..path.t.len()).flat_map(|k| path.states.iter().map(move |x| x[k])));
+        }
+        if xi.len() != problem.n() {
+            return Err(Error::data("the motion is not known at the points of the records".into()));
         }
         let objective = problem.objective(&xi);
         objective

@@ -303,7 +303,8 @@ class Search:
                 # With more unknowns it would be as likely by being able to be many things.
                 richer = len(new.parameters) > len(candidate.parameters) or complexity(new) > complexity(candidate)
                 likelier = best is at and ahead > self.settings.ahead
-                if richer or not is_physical(r, new) or not (likelier or (own < rank and is_equal(best, r))):
+                sized = is_physical(r, new) or not is_physical(best, *best.beside(others))
+                if richer or not sized or not (likelier or (own < rank and is_equal(best, r))):
                     continue
                 if self.assessment.is_named(r, new, self.confirmation.explained(r, new)):
                     best, rank = r, own

@@ -37,8 +37,8 @@ impl Estimation<'_> {
         let cut = !fit.status.is_end() && fit.iterations > 0;
         // Of an input that is late the derivative is an input, too, which no integration follows through its jumps.
         let simple = fit.transcription.is_collocation() && self.model.delays.is_empty();
-        // Who presses Ctrl-C waits for no problem to be posed again.
-        if !simple || self.outside.stops() || !(cut || self.parameters_tell_motion()) {
+        // Who presses Ctrl-C waits for no integration.
+        if !simple || fit.status == Status::Interrupted || !(cut || self.parameters_tell_motion()) {
             return;
         }
         let began = Instant::now();

@@ -352,9 +352,9 @@ def newton(
     stop: Callable[[], bool] | None = None,
     paths: bool = False,
 ) -> NewtonSolution: ...
-@final
 def burg(runs: list[_Array]) -> tuple[list[_Array], _Array]: ...
 
+@final
 class Whitening:
     def __new__(
         cls,

@@ -46,7 +46,7 @@ class Whitened:
             squares, vectors = values**2, vt.T
         kept = squares > _NOTHING**2 * squares.max(initial=0.0)
         self._back = vectors[:, kept] / np.sqrt(squares[kept])
-        self.basis = seen.T @ self._back
+        self.basis = np.asarray(seen.T @ self._back)
         e = filter(linear.residuals)
         self._part = self.basis.T @ e
         self.errors = e - self.basis @ self._part

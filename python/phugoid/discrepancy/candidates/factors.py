@@ -104,8 +104,9 @@ class FactorLaw(Effect):
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        largest = max(float(np.abs(self._logarithm(p)).max()) for p in points)
-        return {self.coefficients[0]: tuple(float(np.log(f)) / max(largest, 1e-300) for f in _FACTOR)}
+        largest = max(max(float(np.abs(self._logarithm(p)).max()) for p in points), 1e-300)
+        low, high = (float(np.log(f)) / largest for f in _FACTOR)
+        return {self.coefficients[0]: (low, high)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

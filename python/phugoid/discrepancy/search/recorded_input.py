@@ -174,8 +174,8 @@ def _confirmed(one: RecordedInput, before: Linearised, base: Refit, free: Sequen
     name, kind = one.name, one.kind
     if kind == "noise":
         other = _without_noise(Whitened(before, base.own.filter.on(before.structure)), name)
-    elif one.clock is not None:
-        other = one.clock.on(one.validation)
+    elif kind == "clock":
+        other = one.clock.on(one.validation) if one.clock is not None else []
     else:
         other = [e.with_interpolation({name: kind}) for e in one.validation]
     if not other:

@@ -21,6 +21,7 @@ __all__ = [
     "__version__",
     "answers",
     "apply",
+    "burg",
     "check_start",
     "estimate",
     "gap_warnings",

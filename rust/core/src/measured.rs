@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use crate::condition::End;
 use crate::experiment::Experiment;
+use crate::expr::Expr;
 use crate::model::{Model, TIME};
 
 /// Samples of an output from which a state is worked out, at most.
@@ -34,7 +35,7 @@ impl Model {
         self.parameters.iter().zip(parameters).map(|(p, v)| (p.name.as_str().into(), *v)).collect()
     }
 
-    /// What changes in the course of a record.
+    /// Returns the names of all that changes in the course of a record.
     fn varying(&self) -> HashSet<&str> {
         self.states.iter().chain(&self.inputs).map(|v| v.name.as_str()).chain([TIME]).collect()
     }
@@ -69,9 +70,11 @@ impl Model {
 
     /// Samples of a state that no output measures by itself: of an output on which it acts with a constant slope, beside
     /// states that are known, inputs and time, such as a vane ahead of the centre of gravity, alpha - l q / V. `known` holds the
-    /// others at the samples, where they are. Times and values; none where there is no such output.
+    /// others at the samples, where they are, and `outputs` the right-hand sides of the outputs, expanded. Times and values;
+    /// none where there is no such output.
     pub(crate) fn measured_beside_others(
         &self,
+        outputs: &[Expr],
         state: usize,
         experiment: &Experiment,
         parameters: &[f64],
@@ -82,15 +85,15 @@ impl Model {
         let number = |s: &str| self.states.iter().position(|x| x.name == s);
         let mut numbers = self.values(parameters);
         let step = experiment.t.len().div_ceil(MOST);
-        for (output, expr) in self.expanded().1.iter().enumerate() {
+        for (output, expr) in outputs.iter().enumerate() {
             let symbols = expr.symbols();
-            let slope = expr.derivative(&name);
             let others = symbols.iter().filter_map(|s| number(s)).filter(|&i| i != state);
             let others: Vec<usize> = others.collect();
-            if !symbols.contains(&name)
-                || slope.symbols().iter().any(|s| varying.contains(&**s))
-                || others.iter().any(|&i| known[i].is_none())
-            {
+            if !symbols.contains(&name) || others.iter().any(|&i| known[i].is_none()) {
+                continue;
+            }
+            let slope = expr.derivative(&name);
+            if slope.symbols().iter().any(|s| varying.contains(&**s)) {
                 continue;
             }
             numbers.insert(name.clone(), 0.0);

@@ -233,16 +233,17 @@ class Effect(Candidate):
 
 def has_unknown_centre(candidate: Candidate) -> bool:
     """Tell whether a candidate is a function of one variable about a trim that is not given."""
-    if not isinstance(candidate, Effect) or candidate.family not in _ADDED or not candidate.centred:
-        return False
-    return len(candidate.variables) == 1 and candidate.variables[0] not in candidate.scales.given
+    return isinstance(candidate, Effect) and candidate.family in _ADDED and _is_centred_anywhere(candidate)
 
 
 def is_limit(candidate: Candidate) -> bool:
     """Tell whether a candidate is a limit of an input on either side of a centre that is not given."""
-    if not isinstance(candidate, Effect) or candidate.place.kind != "input" or not candidate.centred:
-        return False
-    return len(candidate.variables) == 1 and candidate.variables[0] not in candidate.scales.given
+    return isinstance(candidate, Effect) and candidate.place.kind == "input" and _is_centred_anywhere(candidate)
+
+
+def _is_centred_anywhere(effect: Effect) -> bool:
+    """Tell whether an effect of one variable has a centre that is not given."""
+    return effect.centred and len(effect.variables) == 1 and effect.variables[0] not in effect.scales.given
 
 
 def added_by_centre(function: Candidate, other: Candidate) -> bool:

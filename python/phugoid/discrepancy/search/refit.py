@@ -272,17 +272,18 @@ class LeftOut:
     @property
     def whitened(self) -> _Array:
         """Return the errors (n_rows,), whitened, with all parameters as the others have them."""
-        out = self._seen.errors.copy()
-        for inside, step in self._steps:
-            out[inside] -= self._seen.basis[inside] @ step
-        return out
+        return self._without(self._seen.errors, self._seen.basis)
 
     @property
     def common(self) -> _Array:
         """Return the same in the units of the outputs."""
-        out = self._seen.residuals.copy()
+        return self._without(self._seen.residuals, self._seen.plain_basis)
+
+    def _without(self, errors: _Array, basis: _Array) -> _Array:
+        """Return errors (n_rows,) after the step that the other blocks ask for, along a basis (n_rows, k)."""
+        out = errors.copy()
         for inside, step in self._steps:
-            out[inside] -= self._seen.plain_basis[inside] @ step
+            out[inside] -= basis[inside] @ step
         return out
 
     def plain(self, held: Sequence[Candidate]) -> _Array:

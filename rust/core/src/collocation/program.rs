@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::Collocation;
 use super::chunk::Chunk;
+use super::defects::Job;
 use crate::index::{ConstraintId, ExperimentId, StateId, VariableId};
 use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
 use crate::problem::boundary::Boundary;
@@ -12,6 +13,7 @@ use crate::problem::layout::{ConstraintPlace, Layout};
 use crate::problem::objective::add;
 use crate::problem::posed::Posed;
 use crate::problem::transcribed::Transcribed;
+use crate::tape::{Tape, Workspace};
 use crate::threads::Threads;
 
 impl Nlp for Collocation {
@@ -115,47 +117,51 @@ impl Nlp for Collocation {
 }
 
 impl Collocation {
-    /// The defects of some chunks.
+    /// Evaluates the defects of some chunks.
     fn defects(
         &self,
         xi: &[f64],
         wanted: impl Fn(&Chunk) -> bool + Sync,
         out: &mut [f64],
     ) -> Result<(), NotFinite> {
-        let out = Disjoint::new(out);
-        self.posed.each(
-            &self.chunks,
-            (&self.dynamics.f.value, xi),
-            0,
-            |chunk, uniforms, scratch, _| {
-                let job = self.dynamics_job(chunk, xi, uniforms);
-                !wanted(chunk) || job.defects(&mut scratch.workspace, &out)
-            },
-            |_, _| (),
-        )
+        self.of_chunks((&self.dynamics.f.value, xi), wanted, out, |job, workspace, out| {
+            job.defects(workspace, out)
+        })
     }
 
-    /// The Jacobian of the defects of some chunks.
+    /// Evaluates the Jacobian of the defects of some chunks.
     fn jacobian_of_chunks(
         &self,
         xi: &[f64],
         wanted: impl Fn(&Chunk) -> bool + Sync,
         out: &mut [f64],
     ) -> Result<(), NotFinite> {
+        self.of_chunks((&self.dynamics.f.jacobian, xi), wanted, out, |job, workspace, out| {
+            job.jacobian(workspace, out)
+        })
+    }
+
+    /// Does the job of each of some chunks, with a tape; what it returns says whether all is finite.
+    fn of_chunks(
+        &self,
+        (tape, xi): (&Tape, &[f64]),
+        wanted: impl Fn(&Chunk) -> bool + Sync,
+        out: &mut [f64],
+        work: impl Fn(&Job<'_>, &mut Workspace, &Disjoint<'_>) -> bool + Sync,
+    ) -> Result<(), NotFinite> {
         let out = Disjoint::new(out);
         self.posed.each(
             &self.chunks,
-            (&self.dynamics.f.jacobian, xi),
+            (tape, xi),
             0,
             |chunk, uniforms, scratch, _| {
-                let job = self.dynamics_job(chunk, xi, uniforms);
-                !wanted(chunk) || job.jacobian(&mut scratch.workspace, &out)
+                !wanted(chunk) || work(&self.dynamics_job(chunk, xi, uniforms), &mut scratch.workspace, &out)
             },
             |_, _| (),
         )
     }
 
-    /// Whether some of these constraints are defects of a chunk.
+    /// Tells whether some of these constraints are defects of a chunk.
     fn has_rows(&self, chunk: &Chunk, rows: &[Range<usize>]) -> bool {
         let n_x = self.layout.n_x;
         let own = chunk.row * n_x..(chunk.row + chunk.segments() * (chunk.rule.order() - 1)) * n_x;

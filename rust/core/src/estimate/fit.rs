@@ -113,8 +113,9 @@ pub struct Fit {
     pub covariance: Vec<f64>,
     /// Of the measurements, without the constant −N n_y/2 ln 2π and without priors (Eq. ellz_defn).
     pub log_likelihood: f64,
-    /// The same of the model integrated with the estimates, independent of the mesh: of a run by collocation that was cut, and
-    /// where samples are few and the parameters tell the first states. NaN where the model cannot be integrated.
+    /// The same of the model integrated with the estimates, independent of the mesh: of a run by collocation that a limit cut,
+    /// and where samples are few and the parameters tell the first states; not of a model with delays, nor where the caller
+    /// stopped it. NaN where the model cannot be integrated.
     pub integrated: Option<f64>,
     /// How it ended.
     pub status: Status,

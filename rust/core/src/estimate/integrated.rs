@@ -97,14 +97,10 @@ impl Estimation<'_> {
     }
 
     fn integrated(&self, fit: &Fit, tolerance: f64, method: Method) -> Result<f64, Error> {
-        // With delays, of the model without them on records that were moved; kinks are integrated as they are.
-        let moved = fit.moved.as_ref().filter(|_| !self.model.delays.is_empty());
-        let (of, model, experiments): (&Fit, _, &[Experiment]) = match moved {
-            Some(moved) => (&moved.fit, &moved.fit.model, &moved.experiments),
-            None => (fit, self.model, self.experiments),
-        };
+        // Kinks are integrated as they are.
+        let (model, experiments) = (self.model, self.experiments);
         let path =
-            |run: &Experiment| Simulation::new(model, run).fit(of).tolerance(tolerance).method(method).run();
+            |run: &Experiment| Simulation::new(model, run).fit(fit).tolerance(tolerance).method(method).run();
         let paths = experiments.iter().map(path).collect::<Result<Vec<_>, _>>()?;
         // The trapezoid between samples has no points but these.
         let settings = collocation::Settings {
@@ -118,7 +114,7 @@ impl Estimation<'_> {
         };
         let problem = Collocation::new(model, experiments, self.checked_noise()?, &settings)?;
         let n_theta = problem.layout().n_theta;
-        let mut xi = of.solution.xi[..n_theta].to_vec();
+        let mut xi = fit.solution.xi[..n_theta].to_vec();
         for path in &paths {
             xi.extend((0..path.t.len()).flat_map(|k| path.states.iter().map(move |x| x[k])));
         }

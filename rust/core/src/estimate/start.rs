@@ -194,18 +194,29 @@ impl<'a> Given<'a> {
         let states = &self.model.states;
         let mut paths: Vec<Option<Vec<f64>>> =
             states.iter().enumerate().map(path).collect::<Result<_, Error>>()?;
+        let outputs = if paths.iter().any(Option::is_none) { self.model.expanded().1 } else { Vec::new() };
+        // Where one shot ends and the next one begins are two points of one time, and rounding may make it an earlier one.
+        let mut distinct: Vec<usize> = Vec::new();
+        for k in 0..times.len() {
+            if distinct.last().is_none_or(|&last| times[k] > times[last]) {
+                distinct.push(k);
+            }
+        }
+        let distinct_times: Vec<f64> = distinct.iter().map(|&k| times[k]).collect();
         // One that is found may tell of another.
-        for _ in 0..states.len() {
-            let unknown = (0..states.len()).filter(|&i| paths[i].is_none()).collect::<Vec<_>>();
+        while !outputs.is_empty() {
             let at_samples = |p: &Option<Vec<f64>>| {
-                p.as_ref().map(|p| interpolate(Interpolation::Linear, times, p, &experiment.t))
+                let x: Vec<f64> =
+                    distinct.iter().map(|&k| p.as_ref().map(|p| p[k])).collect::<Option<_>>()?;
+                Some(interpolate(Interpolation::Linear, &distinct_times, &x, &experiment.t))
             };
-            let known: Vec<Option<Vec<f64>>> =
-                if unknown.is_empty() { Vec::new() } else { paths.iter().map(at_samples).collect() };
-            let found = |&i: &usize| {
-                self.model.measured_beside_others(i, experiment, parameters, &known).map(|s| (i, s))
+            let known: Vec<Option<Vec<f64>>> = paths.iter().map(at_samples).collect();
+            let found = |i: usize| {
+                let samples = self.model.measured_beside_others(&outputs, i, experiment, parameters, &known);
+                samples.map(|s| (i, s))
             };
-            let Some((i, (t, x))) = unknown.iter().find_map(found) else { break };
+            let mut unknown = (0..states.len()).filter(|&i| paths[i].is_none());
+            let Some((i, (t, x))) = unknown.find_map(found) else { break };
             paths[i] = Some(at_times(&t, &x));
         }
         let within = |(path, state): (Option<Vec<f64>>, &Variable)| {

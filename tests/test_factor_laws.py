@@ -73,3 +73,36 @@ def test_a_parameter_changes_with_a_condition_where_an_exponent_is_wrong() -> No
     assert found.coefficient == pytest.approx(0.005, abs=4.0 * found.std_error)
     assert found.explained > 0.95
     assert "b changes with V" in found.explanation
+
+
+def _digester(seed: int, name: str) -> ph.Experiment:
+    """A reactor that is fed with a substrate, which is taken up by Michaelis and Menten's law."""
+    feed = _levels(np.random.default_rng(seed), 0.0, 6.0)
+    x = integrated(lambda x, u: np.array([0.3 * u[0] - 1.6 * x[0] / (2.5 + x[0])]), np.ones(1), _TIMES, feed[:, None])
+    outputs = {"S": x[:, 0] + 0.05 * np.random.default_rng(seed + 9).standard_normal(_TIMES.size)}
+    return ph.Experiment(_TIMES, {"feed": feed}, outputs, interpolation="hold", name=name)
+
+
+def test_an_uptake_saturates_with_the_substrate() -> None:
+    m = ph.Model("digester")
+    (s,) = m.states(S="g/L")
+    (feed,) = m.inputs(feed="g/L/h")
+    k, q = m.parameters(k=0.5, q=0.2)
+    m.dynamics(S=k * feed - q * s)
+    m.outputs(S=s)
+    (found,) = named(ph.diagnose(ph.estimate(m, _digester(1, "a")), validation=_digester(2, "b")))
+    assert found.cause == "q:saturating_S"
+    half, error = found.parameters["K_q_S"]
+    assert half == pytest.approx(2.5, abs=4.0 * error)
+    assert error < 0.5
+    assert found.explained > 0.95
+
+
+def test_nothing_saturates_that_does_not_vanish_with_the_store() -> None:
+    m = ph.Model("oven")
+    (t,) = m.states(T="°C")
+    (u,) = m.inputs(u="kW")
+    k, b = m.parameters(k=0.1, b=1.0)
+    m.dynamics(T=b * u - k * (t - 20.0))
+    m.outputs(T=t)
+    assert not [n for n in ph.candidates(m).names if ":saturating_" in n]

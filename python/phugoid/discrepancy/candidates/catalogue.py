@@ -25,7 +25,7 @@ from .channel_effects import (
     SensorLag,
     SensorScale,
 )
-from .factors import EquationScale, FactorLaw, ParameterLaw
+from .factors import EquationScale, FactorLaw, ParameterLaw, SaturatingRate
 from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
 from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable
@@ -75,12 +75,14 @@ class Catalogue:
                 acts = not model.is_condition(variable.symbol)
                 yield from (c for c in self._on_input(variable) if acts or c.family in _OF_CONDITIONS)
         yield from self._of_the_medium()
+        yield from (self._term(place, "linear", v) for place, v in self.structure.direct_forces)
         yield from self._limits()
         conditions = [v for v in self.structure.variables if v.kind == "input" and model.is_condition(v.symbol)]
         for name, x in product(self.structure.acting, conditions):
             words, place = f"{name} changes with {x.shown}", Place("parameter", name)
             d = self.names(f"{name}_{x.shown}")
             yield ParameterLaw(f"{name}:{x.shown}", place, words, "dependence", self.scales, (d,), (), (x.symbol,))
+        yield from (self._saturating(name, x) for name, x in self.structure.rates_of_stores)
         for name in self.structure.acting:
             words, place = f"{name} changes during the record", Place("parameter", name)
             yield ParameterDrift(
@@ -134,6 +136,15 @@ class Catalogue:
         words = f"{where(place)} is larger by a factor that changes with {v.shown}, by an exponential or a power of it"
         name, k = f"{self.structure.shown(place)}:scale*{v.shown}", self.names(f"k_{stem(place)}_{v.shown}")
         return FactorLaw(name, place, words, "law", self.scales, (k,), (), (v.symbol,))
+
+    def _saturating(self, name: str, x: Variable) -> SaturatingRate:
+        words = (
+            f"the rate {name}*{x.shown} saturates as {x.shown} grows (Michaelis-Menten, Monod or Holling kinetics); "
+            f"K_{name}_{x.shown} is the half-saturation constant"
+        )
+        d, half = self.names(f"d_{name}_{x.shown}"), self.names(f"K_{name}_{x.shown}")
+        title, place = f"{name}:saturating_{x.shown}", Place("parameter", name)
+        return SaturatingRate(title, place, words, "saturating", self.scales, (d,), (half,), (x.symbol,))
 
     def _in_equation(self, place: Place) -> Iterator[Effect]:
         variables = self.structure.variables

@@ -1,8 +1,8 @@
-"""Factors by which all that stands in a state equation or a quantity is larger, constant or by a variable."""
+"""Factors by which a state equation, a quantity or a parameter is larger, constant or by a variable."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from .candidate import Candidate, Effect, ExtensionBuilder
 from .channel_effects import Scale
 from .scales import of
 
-__all__ = ["EquationScale", "FactorLaw", "ParameterLaw"]
+__all__ = ["EquationScale", "FactorLaw", "ParameterLaw", "SaturatingRate"]
 
 _Array = NDArray[np.float64]
 
@@ -24,6 +24,8 @@ _Array = NDArray[np.float64]
 _FACTOR = (0.1, 10.0)
 # Part of its greatest value above which a variable must stay for a power of it.
 _ABOVE = 0.05
+# Half-saturation constants, in parts of the greatest value of the variable: least, greatest, and number in a scan.
+_HALF, _HALVES = (0.02, 5.0), 6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -131,3 +133,37 @@ class ParameterLaw(Effect):
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         return {self.coefficients[0]: (-np.inf, np.inf)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SaturatingRate(Effect):
+    """The parameter p of a rate p x becomes p + d K / (K + x), so that the rate is p x + d K x / (K + x): a part that
+    saturates with x, the ``variables``' only one, beside one that does not (Michaelis and Menten, Monod, Holling's
+    second type; Langmuir)."""
+
+    def grid(self) -> Iterable[float]:
+        low, high = _HALF
+        return self._peak * np.geomspace(low, high, _HALVES)
+
+    @property
+    def _peak(self) -> float:
+        return max(self.scales.peak(*self.variables), 1e-300)
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        half, x = shape[self.shape_names[0]], np.maximum(points.values[self.variables[0]], 0.0)
+        return (half / (half + x))[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        (name,), (shape,), units = self.variables, self.shape_names, model.units
+        d = extension.parameter(self.coefficients[0], unit=units.get(self.place.name, ""))
+        bounds = tuple(f * self._peak for f in _HALF)
+        half = extension.parameter(shape, self.shapes[_HALVES // 2][shape], bounds=bounds, unit=units.get(name, ""))
+        extension.replace_parameter(
+            self.place.name, Expr.symbol(self.place.name) + d * half / (half + Expr.symbol(name))
+        )
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        low, high = _HALF
+        return {self.coefficients[0]: (-np.inf, np.inf), self.shape_names[0]: (low * self._peak, high * self._peak)}

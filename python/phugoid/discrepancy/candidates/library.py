@@ -47,6 +47,7 @@ FAMILIES = (
     "rate_limit",
     "clipped",
     "dependence",
+    "saturating",
     "variation",
     "step",
     "stribeck",
@@ -82,8 +83,9 @@ def candidates(
     clipping, play of a position's sensor, linear terms, squares and products of rates, derivatives of rates, lags of
     inputs that act at once. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of
     conditions (`Model.conditions`) scale, bias and delay.
-    Parameters of the state equations may change in the course of a record. What the model's parameters can do already
-    is left out, and so is what another candidate says too: names of `FAMILIES` that stand first win.
+    Parameters of the state equations may change in the course of a record, and rates saturate with what is stored. What
+    the model's parameters can do already is left out, and so is what another candidate says too: names of `FAMILIES`
+    that stand first win.
 
     points     paths that the scales are taken from: centres of powers, widths of rounded corners, grids of time
                constants and frequencies. Without, those of `Scales`; ``library.on(points)`` does it later.

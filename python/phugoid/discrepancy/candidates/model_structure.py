@@ -7,6 +7,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from ..._core import Expr
 from ...modelling.model import Model
 from ...sensitivities import Place
@@ -24,6 +26,9 @@ _BESIDE = 6
 
 # Functions of angles of attitudes; and those that jump, or are put for a jump.
 _SINES, _JUMPS = ("sin", "cos", "tan"), ("sign", "tanh", "atan")
+
+# Points within +-this at which a slope is tried: angles in rad, and whatever else.
+_TRIED, _RANGE = 50, 3.0
 
 ANGULAR_RATES = ("rad/s", "deg/s", "°/s", "1/s")
 """Units of angular rates."""
@@ -157,18 +162,53 @@ class ModelStructure:
             n for n in self.model.parameter_names if n in seen and not (declared[n].fixed or declared[n].per_experiment)
         ]
 
+    @property
+    def direct_forces(self) -> list[tuple[Place, Variable]]:
+        """The state equations whose forces stand in quantities times what varies, as a moment is a coefficient times
+        the dynamic pressure, each with the inputs that act in other equations without them: a thrust, of which the
+        line of action may be off the centre of gravity."""
+        places = {p.name for p in self.places if p.kind == "quantity"}
+        direct = {s for e in self.dynamics.values() for s in e.symbols}
+        inputs = [v for v in self.variables if v.kind == "input" and v.symbol in direct]
+        found = []
+        for name, e in self.dynamics.items():
+            through = places.intersection(e.symbols)
+            if through and all(Expr(e.diff(q)).constant is None for q in through):
+                found += [(Place("equation", name), v) for v in inputs if v.symbol not in e.symbols]
+        return found
+
+    @property
+    def rates_of_stores(self) -> list[tuple[str, Variable]]:
+        """The free parameters of the state equations, each with a store that all it multiplies vanishes without: the
+        rate of a reaction, of an elimination or of growth with what there is of a substance."""
+        stores = [v for v in self.variables if self.is_store(v)]
+        groups = [*self.quantities.values(), *self.dynamics.values()]
+        found = []
+        for name in self.acting:
+            slopes = [Expr(e.diff(name)) for e in groups if name in e.symbols]
+            found += [(name, v) for v in stores if slopes and all(_vanishes_at_zero(s, v.symbol) for s in slopes)]
+        return found
+
     def force_on(self, speed: str) -> Place | None:
-        """Return the place at which a force on a state acts: its equation, or a quantity that stands there as it is, as
-        a force over a constant mass does; None where no parameters stand there."""
+        """Return the place at which a force on a state acts: its equation, or a quantity that it increases with, as
+        with a force over a mass, or with a torque on the same joint where several are coupled by a mass matrix, whose
+        inverse is positive definite; None where no parameters stand there."""
         if Place("equation", speed) in self.places:
             return Place("equation", speed)
         e = self.dynamics[speed]
-        for place in self.places:
-            if place.kind == "quantity" and place.name in e.symbols:
-                slope = Expr(e.diff(place.name)).constant
-                if slope is not None and slope > 0.0:
-                    return place
-        return None
+        quantities = [place for place in self.places if place.kind == "quantity" and place.name in e.symbols]
+        return next((place for place in quantities if self._increases(Expr(e.diff(place.name)))), None)
+
+    def _increases(self, slope: Expr) -> bool:
+        """Tell whether a slope is positive, at random states and inputs if it is not constant."""
+        if (constant := slope.constant) is not None:
+            return bool(constant > 0.0)
+        e = Expr(slope.substitute(self.quantities))
+        random, declared = np.random.default_rng(0), self.model.declared_parameters
+        start = {n: declared[n].start or 1.0 for n in e.symbols if n in declared}
+        others = [n for n in e.symbols if n not in start]
+        tried = [start | {n: random.uniform(-_RANGE, _RANGE) for n in others} for _ in range(_TRIED)]
+        return all(e.evaluate(at) > 0.0 for at in tried)
 
     def turns_freely(self, name: str) -> bool:
         """Tell whether a state is an angle of which sines or cosines are taken, as of an attitude or of a pendulum."""
@@ -247,6 +287,11 @@ def addends(e: Expr) -> list[Expr]:
     if operation not in ("add", "sub", "neg"):
         return [e]
     return [term for a in arguments for term in addends(a)]
+
+
+def _vanishes_at_zero(e: Expr, name: str) -> bool:
+    """Tell whether an expression is zero where a variable is, whatever the others."""
+    return name in e.symbols and Expr(e.substitute({name: Expr(0.0)})).simplify().constant == 0.0
 
 
 def _is_within(e: Expr, name: str, functions: Collection[str]) -> bool:

@@ -173,7 +173,7 @@ def fitted_to(
         found = estimate(
             fit.model if model is None else model,
             data,
-            transcription=fit.transcription,
+            transcription=mesh_for(fit, data),
             noise=fit.noise,
             start=fit if start is None else start,
             solver=solver,
@@ -343,7 +343,10 @@ def on_other_data(
     model, noise = freeze_model(fit.model, values, free), freeze_noise(fit)[0]
     known = {n: [e.value for e in estimates_of(fit.parameters, [n]).values()] for n in free}
     mesh = mesh_for(fit, data)
-    starts: list[FitResult | dict[str, float]] = [{n: float(np.mean(v)) for n, v in known.items() if v}]
+    first = {n: float(np.mean(v)) for n, v in known.items() if v}
+    # Widths over which kinks were smoothed need not be found again.
+    smoothed = replace(started_from(fit, first), records=[]) if fit.smoothing else None
+    starts: list[FitResult | dict[str, float]] = [smoothed or first]
     if near is not None:  # its path may be out of reach of this model: then the measured one
         starts.insert(0, _with_paths(started_from(near.fit, ()), refit.candidates, near.points, values))
     # A model that is as far off with another path as it is near it has no better branch.

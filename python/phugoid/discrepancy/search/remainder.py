@@ -321,24 +321,28 @@ def _share(search: Search, at: Refit, of: Disturbance) -> float:
 
 
 def _held_out(search: Search, option: _Option, d: Disturbance, other: Linearised, s: RemainderSettings) -> float:
-    """Return the gain in log-likelihood on data held out over coloured noise; NaN where it cannot be had.
+    """Return the gain in log-likelihood on data held out over coloured noise.
 
     A fit that knows of no disturbance has biased parameters, which no disturbance mends on other data. With the fit by
-    the filter-error method its own are used there. Else, where the biases speak against the disturbance, both
+    the filter-error method its own are used there. Else, or where it fails there, and where the biases speak against the disturbance, both
     hypotheses are compared with parameters that are re-estimated from the other data: what is held out then is what
     the hypotheses are about, the variances and the colour of the noise.
     """
     filter = option.at.own.filter
     coloured = Whitened(other, filter.on(other.structure)).log_likelihood
-    if option.filtered is None:
+    if option.filtered is not None:
+        free = freed_by_default(option.at.fit.model) if search.cache.biases is None else search.cache.biases
+        by_filter = filtered_elsewhere(option.filtered, search.cache.validation, free, s.seconds) - coloured
+    else:
+        by_filter = float("nan")
+    if np.isnan(by_filter):
         gain = disturbance_at(other, d) - coloured
         again = fitted_to(option.at, search.cache.validation) if gain <= 0.0 else None
         if again is None:
             return gain
         linear = again.linear
         return disturbance_at(linear, d) - Whitened(linear, filter.on(linear.structure)).log_likelihood
-    free = freed_by_default(option.at.fit.model) if search.cache.biases is None else search.cache.biases
-    return filtered_elsewhere(option.filtered, search.cache.validation, free, s.seconds) - coloured
+    return by_filter
 
 
 # Neighbours in the motion that are asked, and the part of the record about a time that counts as the same pass.

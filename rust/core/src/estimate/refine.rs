@@ -80,8 +80,8 @@ impl Estimation<'_> {
         let mut fit = plain.solve_on_mesh(watch)?;
         let first = fit.parameters.clone();
         for _ in 0..DIVISIONS {
-            // A mesh on which a fit nearby lies is not too coarse for the equations.
-            if fit.feasible || fit.status.was_stopped() || self.goes_on() {
+            // A mesh on which a fit nearby lies is not too coarse for the equations, and kinks are smoothed instead.
+            if fit.feasible || fit.status.was_stopped() || self.goes_on() || self.smooths() {
                 break;
             }
             // On too coarse a mesh the equations may have no solution.
@@ -114,6 +114,9 @@ impl Estimation<'_> {
             let points = step.segments * (order - 1);
             if step.coarse == 0 || steps.len() > PASSES || points > POINTS || fit.status != Status::Converged
             {
+                break;
+            }
+            if self.smooths() && fit.kinks_matter(self.experiments) {
                 break;
             }
             let own = fit.moved.as_ref().map_or(self.experiments, |moved| &moved.experiments);

@@ -85,9 +85,8 @@ impl Estimation<'_> {
     fn may_go_otherwise(&self) -> bool {
         let many = self.solver.max_iterations >= Settings::default().max_iterations;
         let near = self.earlier.as_ref().is_some_and(|e| e.near);
-        let kinks = self.smooth_kinks && !self.model.kinks().is_empty();
         many && !near
-            && !kinks
+            && !self.smooths()
             && self.transcription.is_collocation()
             && self.own_solver.is_none()
             && !self.follows_motion()

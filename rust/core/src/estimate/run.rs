@@ -19,6 +19,8 @@ const GRACE_PART: f64 = 0.03;
 const OF_AN_ITERATION: f64 = 0.5;
 /// With fewer measured values for each parameter, data do not keep the path of states that are not measured in place.
 const FEW: usize = 20;
+/// Iterations over kinks that may be smoothed instead.
+const ROUGH: usize = 60;
 
 impl Estimation<'_> {
     /// Solves the problem. Not to converge is a status of the fit, no error.
@@ -48,18 +50,39 @@ impl Estimation<'_> {
         if let Some(fit) = self.smoothed_as_before(watch)? {
             return Ok(fit);
         }
-        let mut fit = self.solve_refined(watch)?;
+        let few = self.solver.max_iterations < Settings::default().max_iterations;
+        let known = self.earlier.as_ref().is_some_and(|e| e.smoothed.is_some());
+        let again = !(few && known); // smoothing from the first width on takes many
+        let mut fit = self.roughly().solve_refined(watch)?;
         if self.other_ways {
             fit = self.or_otherwise(fit, watch)?;
         }
-        if self.smooth_kinks && !current().stops() && fit.kinks_matter(self.experiments) {
+        if self.smooth_kinks && again && !current().stops() && fit.kinks_matter(self.experiments) {
             fit = self.smoothed(fit, watch)?;
+            if fit.status == Status::IterationLimit && fit.iterations < self.solver.max_iterations {
+                fit = self.clone().going_on_from(&fit).solve_refined(watch)?;
+            }
         }
         if self.outside.cause() == Some(Cause::Stopped) && fit.status != Status::Interrupted {
             // Whoever called is to know.
             (fit.status, fit.message) = (Status::Interrupted, Status::Interrupted.hint().into());
         }
         Ok(fit)
+    }
+
+    /// The estimation with a few iterations where kinks can be smoothed: a fit that has not converged by then goes back and
+    /// forth over them.
+    fn roughly(&self) -> Self {
+        let mut rough = self.clone();
+        if self.smooths() {
+            rough.solver.max_iterations = rough.solver.max_iterations.min(ROUGH);
+        }
+        rough
+    }
+
+    /// Whether the model has kinks that are smoothed where they matter.
+    pub(super) fn smooths(&self) -> bool {
+        self.smooth_kinks && self.transcription.is_collocation() && !self.model.kinks().is_empty()
     }
 
     /// The fit with the kinks of the model as they are, on a mesh that is refined where that was asked for.

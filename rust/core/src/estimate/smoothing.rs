@@ -31,6 +31,8 @@ const OF_RESIDUALS: f64 = 0.1;
 /// Of the integration error of a segment, in units of the noise. With ten times more, standard errors are wrong: errors that
 /// change with where a kink is crossed between points bend the likelihood.
 const TOLERANCE: f64 = 1e-3;
+/// Times the widths of an earlier fit, from which they are reduced again where these at once do not do.
+const NARROWING: [f64; 4] = [64.0, 16.0, 4.0, 1.0];
 /// Spreads below this part of the size of an argument are rounding.
 const STILL: f64 = 1e-9;
 
@@ -169,27 +171,31 @@ impl Estimation<'_> {
         Ok(fit)
     }
 
-    /// Returns the estimate of a model whose kinks are those of an earlier fit, smoothed as in the last pass of that: one pass,
-    /// on its mesh. None where there is no such fit, or where the pass does not come to an end.
+    /// Returns the estimate of a model whose kinks are those of an earlier fit, smoothed as in the last pass of that: in one
+    /// pass on its mesh, or after passes over wider kinks. None where there is no such fit, or where these do not come to an
+    /// end.
     pub(super) fn smoothed_as_before(&self, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
         let before = self.earlier.as_ref().and_then(|e| e.smoothed.as_ref());
-        let Some(before) = before.filter(|s| self.smooth_kinks && s.is_of(self.experiments)) else {
+        let Some(before) = before.filter(|_| self.smooth_kinks) else {
             return Ok(None);
         };
-        let (kinks, asked) = (self.model.kinks(), self.refine.map_or(TOLERANCE, |t| t.min(TOLERANCE)));
-        let Some(widths) = before.widths_of(&kinks).filter(|w| !w.is_empty()) else { return Ok(None) };
+        let Some(widths) = before.widths_of(&self.model.kinks()).filter(|w| !w.is_empty()) else {
+            return Ok(None);
+        };
         if !self.transcription.is_collocation() || self.smoothing_passes == 0 {
             return Ok(None);
         }
         let began = Instant::now();
-        let smooth = self.model.smoothed(&widths)?;
-        let mesh = before.edges.iter().cloned().map(Grid::Edges).collect();
-        let pass =
-            Estimation { model: &smooth, refine: Some(asked), regression: Some(false), ..self.clone() };
-        let fit = pass.on_grid(before.order, mesh).solve_refined(watch)?;
-        if !good(&fit) {
-            return Ok(None);
+        let mut found = None;
+        if before.is_of(self.experiments) {
+            let mesh = before.edges.iter().cloned().map(Grid::Edges).collect();
+            let same = Estimation { regression: Some(false), ..self.clone() }.on_grid(before.order, mesh);
+            found = same.over(&widths, &[1.0], watch)?;
         }
+        if found.is_none() && !current().stops() {
+            found = self.over(&widths, &NARROWING, watch)?;
+        }
+        let Some(fit) = found else { return Ok(None) };
         let spreads = Fit { model: self.model.clone(), ..fit.clone() }.spreads(self.experiments)?;
         let part = widths.iter().zip(&spreads).map(|(w, s)| w / s).fold(0.0, f64::max);
         let known = |e: &Estimate| {
@@ -199,6 +205,28 @@ impl Estimation<'_> {
         let left =
             fit.parameters.iter().filter(|e| e.bound != Some(Bound::Fixed)).filter_map(known).collect();
         Ok(Some(self.reported(vec![(part, fit)], &widths, left, 0, began.elapsed())))
+    }
+
+    /// Returns the fit of the model smoothed over these widths, after passes over multiples of them, each from the last;
+    /// None where one does not come to an end on a mesh that is fine enough.
+    fn over(&self, widths: &[f64], factors: &[f64], watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
+        let refine = Some(self.refine.map_or(TOLERANCE, |t| t.min(TOLERANCE)));
+        let mut last: Option<Fit> = None;
+        for factor in factors {
+            let smooth = self.model.smoothed(&widths.iter().map(|w| factor * w).collect::<Vec<_>>())?;
+            let mut pass = Estimation { model: &smooth, refine, ..self.clone() };
+            if let Some(fit) = &last {
+                if let Transcription::Collocation(mesh) = &fit.transcription {
+                    pass = pass.on_grid(mesh.order, mesh.grid.clone());
+                }
+                pass = pass.going_on_from(fit);
+            }
+            last = Some(pass.solve_refined(watch)?).filter(good);
+            if last.is_none() {
+                break;
+            }
+        }
+        Ok(last)
     }
 
     /// Returns the last pass as a fit of the model with kinks, which says how these were smoothed, and how many iterations went before.

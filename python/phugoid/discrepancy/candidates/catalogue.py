@@ -74,6 +74,7 @@ class Catalogue:
             if variable.kind == "input" and self.structure.used(variable.symbol):
                 acts = not model.is_condition(variable.symbol)
                 yield from (c for c in self._on_input(variable) if acts or c.family in _OF_CONDITIONS)
+        yield from self._of_exact_quantities()
         yield from self._of_the_medium()
         yield from (self._term(place, "linear", v) for place, v in self.structure.direct_forces)
         yield from self._limits()
@@ -93,6 +94,16 @@ class Catalogue:
             place = Place("parameter", name)
             shape = (self.names(f"time_of_step_{name}"),)
             yield ParameterStep(f"{name}:step", place, words, "step", self.scales, (self.names(f"step_{name}"),), shape)
+
+    def _of_exact_quantities(self) -> Iterator[Effect]:
+        """Yield dead zones and limits of quantities that forces are functions of, such as the play of a gear in the
+        difference of two angles."""
+        for v in self.structure.exact_in_forces:
+            place = Place("quantity", v.symbol)
+            for make, family in ((DeadBand, "deadband"), (Saturation, "saturation")):
+                words, shape = make.words.format(name=v.shown, about=""), (self.names(f"{family}_{v.shown}"),)
+                variables = (v.symbol,)
+                yield make(f"{v.shown}:{family}", place, words, family, self.scales, (), shape, variables=variables)
 
     def _of_the_medium(self) -> Iterator[Effect]:
         """Yield constants in the kinematics of positions: a wind or a current, which carries the vehicle along."""

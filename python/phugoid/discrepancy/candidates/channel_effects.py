@@ -321,7 +321,7 @@ class InputBias(Effect):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Limited(Effect):
-    """An input of which the part within a limit about its trim matters."""
+    """An input, or a quantity that is defined exactly, of which the part within a limit about its trim matters."""
 
     @property
     def centred(self) -> bool:
@@ -370,7 +370,12 @@ class _Limited(Effect):
         extension = ExtensionBuilder(model, self, start)
         peak, unit = self.scales.peak(self.place.name), model.units.get(self.place.name, "")
         limit = extension.parameter(self.shape_names[0], first * peak, bounds=(0.0, 2.0 * peak), unit=unit)
-        extension.replace_input(self.place.name, Expr.symbol(self.place.name) + self.change(limit))
+        name, change = self.place.name, self.change(limit)
+        if self.place.kind == "quantity":
+            whole = extension.at(self.place)
+            extension.put(self.place, whole + Expr(Expr(change).substitute({name: whole})))
+        else:
+            extension.replace_input(name, Expr.symbol(name) + change)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:

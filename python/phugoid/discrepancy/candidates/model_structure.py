@@ -117,6 +117,13 @@ class ModelStructure:
         exact = [n for n in self._defined if n not in symbols and of.issuperset(self.quantities[n].symbols)]
         return [Variable(n, n, "quantity") for n in exact] if len(exact) <= _BESIDE else []
 
+    @property
+    def exact_in_forces(self) -> list[Variable]:
+        """The quantities that are defined exactly and stand in the forces alone, and in no output."""
+        forces = [place for place in self.places if place.kind != "output"]
+        found = {v.symbol: v for place in forces for v in self.declared_in(place)}
+        return [v for n, v in found.items() if not any(n in e.symbols for e in self.outputs.values())]
+
     def is_product(self, place: Place) -> bool:
         """Tell whether a quantity is a product with a parameter, such as a rate of reaction or a flow of heat, and no
         sum of terms that each have their own."""

@@ -324,9 +324,9 @@ def _held_out(search: Search, option: _Option, d: Disturbance, other: Linearised
     """Return the gain in log-likelihood on data held out over coloured noise.
 
     A fit that knows of no disturbance has biased parameters, which no disturbance mends on other data. With the fit by
-    the filter-error method its own are used there. Else, or where it fails there, and where the biases speak against the disturbance, both
-    hypotheses are compared with parameters that are re-estimated from the other data: what is held out then is what
-    the hypotheses are about, the variances and the colour of the noise.
+    the filter-error method its own are used there. Else, or where it fails there, and where the biases speak against
+    the disturbance, both hypotheses are compared with parameters that are re-estimated from the other data: what is
+    held out then is what the hypotheses are about, the variances and the colour of the noise.
     """
     filter = option.at.own.filter
     coloured = Whitened(other, filter.on(other.structure)).log_likelihood

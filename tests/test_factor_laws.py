@@ -45,6 +45,7 @@ def test_a_rate_of_reaction_changes_with_the_temperature() -> None:
     m.outputs(c=c, T=temperature)
     (found,) = named(ph.diagnose(ph.estimate(m, _reactor(1, "a")), validation=_reactor(2, "b")))
     assert found.cause == "rate:scale*T"
+    assert "exponentially" in found.explanation
     assert found.coefficient == pytest.approx(0.063, abs=4.0 * found.std_error)
     assert found.explained > 0.95
 
@@ -106,3 +107,32 @@ def test_nothing_saturates_that_does_not_vanish_with_the_store() -> None:
     m.dynamics(T=b * u - k * (t - 20.0))
     m.outputs(T=t)
     assert not [n for n in ph.candidates(m).names if ":saturating_" in n]
+
+
+def _ferment(seed: int, name: str) -> ph.Experiment:
+    """Growth that its product inhibits, along a straight line down to nothing at 60 g/L."""
+    rng = np.random.default_rng(seed)
+    washed = _levels(rng, 0.02, 0.25)
+
+    def f(x: _Array, u: _Array) -> _Array:
+        growth = 0.4 * x[0] * (1.0 - x[1] / 60.0)
+        return np.array([growth - u[0] * x[0], 4.0 * growth - u[0] * x[1]])
+
+    x = integrated(f, np.array([5.0, 20.0]), _TIMES, washed[:, None])
+    outputs = {"X": x[:, 0] + 0.05 * rng.standard_normal(_TIMES.size)}
+    outputs["P"] = x[:, 1] + 0.2 * rng.standard_normal(_TIMES.size)
+    return ph.Experiment(_TIMES, {"D": washed}, outputs, interpolation="hold", name=name)
+
+
+def test_growth_is_inhibited_along_a_straight_line() -> None:
+    m = ph.Model("ferment")
+    cells, product = m.states(X="g/L", P="g/L")
+    (washed,) = m.inputs(D="1/h")
+    k, y = m.parameters(k=0.2, Y=4.0)
+    (growth,) = m.quantities(growth=k * cells)
+    m.dynamics(X=growth - washed * cells, P=y * growth - washed * product)
+    m.outputs(X=cells, P=product)
+    (found,) = named(ph.diagnose(ph.estimate(m, _ferment(1, "a")), validation=_ferment(2, "b")))
+    assert found.cause == "growth:scale*P"
+    assert "along a straight line" in found.explanation
+    assert found.explained > 0.95

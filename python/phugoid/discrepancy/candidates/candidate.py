@@ -77,6 +77,11 @@ class Candidate(ABC):
         return False
 
     @property
+    def otherwise(self) -> Candidate | None:
+        """The same by another law, alike to first order; None where there is none."""
+        return None
+
+    @property
     def begins_measured(self) -> bool:
         """Tell whether a fit may begin at the measured motion: the one without the candidate goes where it cannot."""
         return False

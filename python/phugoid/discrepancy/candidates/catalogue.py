@@ -25,7 +25,7 @@ from .channel_effects import (
     SensorLag,
     SensorScale,
 )
-from .factors import EquationScale, FactorLaw, ParameterLaw, SaturatingRate
+from .factors import HOW, EquationScale, FactorLaw, ParameterLaw, SaturatingRate
 from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
 from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable
@@ -144,7 +144,7 @@ class Catalogue:
         return own + [(x, k) for x, v in self.structure.coordinates if v.symbol == place.name for k in (1, 2)]
 
     def _law(self, place: Place, v: Variable) -> FactorLaw:
-        words = f"{where(place)} is larger by a factor that changes with {v.shown}, by an exponential or a power of it"
+        words = f"{where(place)} is larger by a factor that changes with {v.shown}, {HOW['exponential']}"
         name, k = f"{self.structure.shown(place)}:scale*{v.shown}", self.names(f"k_{stem(place)}_{v.shown}")
         return FactorLaw(name, place, words, "law", self.scales, (k,), (), (v.symbol,))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from .candidate import Candidate, Effect, ExtensionBuilder
 from .channel_effects import Scale
 from .scales import of
 
-__all__ = ["EquationScale", "FactorLaw", "ParameterLaw", "SaturatingRate"]
+__all__ = ["HOW", "EquationScale", "FactorLaw", "ParameterLaw", "SaturatingRate"]
 
 _Array = NDArray[np.float64]
 
@@ -26,6 +27,9 @@ _FACTOR = (0.1, 10.0)
 _ABOVE = 0.05
 # Half-saturation constants, in parts of the greatest value of the variable: least, greatest, and number in a scan.
 _HALF, _HALVES = (0.02, 5.0), 6
+
+HOW = {"exponential": "exponentially", "linear": "along a straight line", "power": "by a power of it"}
+"""Laws of factors in words."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,9 +76,10 @@ class EquationScale(Scale):
 @dataclass(frozen=True, eq=False, repr=False)
 class FactorLaw(Effect):
     """A quantity that is a product becomes exp(k (x - x0)) times as large, as a rate of reaction with the temperature,
-    or (x / x0)^k times, as a heat transfer with a flow, where the ``variables``' only one stays positive."""
+    or 1 + k (x - x0) times, as growth that a product inhibits, or (x / x0)^k times, as a heat transfer with a flow,
+    where the ``variables``' only one stays positive."""
 
-    power: bool = False
+    law: Literal["exponential", "linear", "power"] = "exponential"
     stage: int = 1  # of terms that were added, too
 
     @property
@@ -82,33 +87,51 @@ class FactorLaw(Effect):
         return True
 
     def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
-        """Return the other law."""
+        """Return the power law."""
         (x,) = self.variables
         low, high = (f(float(f(of(p.values, x, p, "state, input or quantity"))) for p in points) for f in (min, max))
-        return (replace(self, power=True),) if low > _ABOVE * high and self.scales.centre(x) > 0.0 else ()
+        return (self._by("power"),) if low > _ABOVE * high and self.scales.centre(x) > 0.0 else ()
+
+    @property
+    def otherwise(self) -> Candidate | None:
+        return self._by("linear") if self.law == "exponential" else None
+
+    def _by(self, law: Literal["linear", "power"]) -> FactorLaw:
+        return replace(self, law=law, explanation=self.explanation.replace(HOW[self.law], HOW[law]))
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         whole = of(points.values, self.place.name, points, self.place.kind)
-        return (whole * self._logarithm(points))[np.newaxis]
+        return (whole * self._change(points))[np.newaxis]
 
-    def _logarithm(self, points: Points) -> _Array:
-        """Return (n,) the logarithm of the factor for k = 1."""
+    def _change(self, points: Points) -> _Array:
+        """Return (n,) the change of the factor for a small k, in parts of it."""
         (name,) = self.variables
         x, centre = of(points.values, name, points, "state, input or quantity"), self.scales.centre(name)
-        return np.asarray(np.log(x / centre) if self.power else x - centre)
+        return np.asarray(np.log(x / centre) if self.law == "power" else x - centre)
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
         (name,) = self.variables
         x, centre, k = Expr.symbol(name), self.scales.centre(name), extension.parameter(self.coefficients[0])
-        factor = exp(k * log(x / centre)) if self.power else exp(k * (x - centre if centre else x))
+        distance = x - centre if centre else x
+        laws = {"exponential": exp(k * distance), "linear": 1 + k * distance}
+        factor = exp(k * log(x / centre)) if self.law == "power" else laws[self.law]
         extension.put(self.place, extension.at(self.place) * factor)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        largest = max(max(float(np.abs(self._logarithm(p)).max()) for p in points), 1e-300)
-        low, high = (float(np.log(f)) / largest for f in _FACTOR)
-        return {self.coefficients[0]: (low, high)}
+        changes = np.concatenate([self._change(p) for p in points])
+        largest = max(float(np.abs(changes).max()), 1e-300)
+        low, high = _FACTOR
+        if self.law == "linear":  # no negative factor
+            most = [(low - 1.0) / c for c in (float(changes.max()), float(changes.min())) if c]
+            return {
+                self.coefficients[0]: (
+                    max((m for m in most if m < 0.0), default=-np.inf),
+                    min((m for m in most if m > 0.0), default=np.inf),
+                )
+            }
+        return {self.coefficients[0]: (float(np.log(low)) / largest, float(np.log(high)) / largest)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

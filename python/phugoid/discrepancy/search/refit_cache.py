@@ -109,6 +109,11 @@ class RefitCache:
                 other = self._likeliest([*candidates[:-1], lesser], starts, near)
                 if other is not None and other.fit.log_likelihood > found.fit.log_likelihood - _NEARLY:
                     found = other
+            otherwise = candidates[-1].otherwise if found is not None and candidates else None
+            if found is not None and otherwise is not None:
+                other = self._likeliest([*candidates[:-1], otherwise], starts, near)
+                if other is not None and other.fit.log_likelihood > found.fit.log_likelihood:
+                    found = other
             try:
                 if found is not None and candidates and is_limit(candidates[-1]):
                     found = self.about_own_centre(found, candidates[-1], _CLEARLY, found.own.filter)

@@ -20,9 +20,6 @@ NAMES = 4
 
 STATUSES = ("named", "surrogate")
 
-AMBIGUOUS = ("periodic",)
-"""Effects without one coefficient to compare: a disturbance has two, which depend on where its phase is 0."""
-
 
 @dataclass(frozen=True)
 class Found:
@@ -228,9 +225,8 @@ def accuracy(outcomes: Iterable[Outcome]) -> list[list[str]]:
     """Rows on coefficients, of effects named first: relative error and coverage, by strength."""
     counts: dict[str, list[tuple[float, bool]]] = defaultdict(list)
     for o in outcomes:
-        for effect, c in o.coefficients.items():
-            if effect.endswith(AMBIGUOUS):
-                continue
+        for effect, signed in o.coefficients.items():
+            c = abs(signed) if effect.endswith(":periodic") else signed  # of a wave the amplitude is found
             for f in o.hits(effect):
                 if f.names[0] == effect:
                     low, high = f.interval

@@ -39,8 +39,9 @@ def test_all_parameters_of_a_finding_are_told() -> None:
 
 def test_a_disturbance_has_an_amplitude_and_a_frequency() -> None:
     parameters = {"Cm_sin": (3e-4, 1e-5), "Cm_cos": (-4e-4, 1e-5), "Cm_frequency": (math.pi, 0.01)}
-    lines = finding_lines(dataclasses.replace(LAG, cause="Cm:periodic", aliases=(), parameters=parameters))
-    assert "Amplitude 0.0005, at 0.5 Hz." in lines
+    size = {"coefficient": 5e-4, "std_error": 1e-5, "interval": (4.8e-4, 5.2e-4)}
+    lines = finding_lines(dataclasses.replace(LAG, cause="Cm:periodic", aliases=(), parameters=parameters, **size))
+    assert "Amplitude: 0.000500 ± 0.000010 (95 %: 0.00048 to 0.00052), at 0.5 Hz." in lines
     assert not any("Estimated" in line for line in lines)
 
 

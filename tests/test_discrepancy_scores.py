@@ -52,9 +52,14 @@ def test_claims_of_what_is_not_there() -> None:
 
 def test_coefficients_count_where_the_effect_is_named_first() -> None:
     wide = Found(("f:sign(v)",), "named", 3.0, (2.5, 3.5))
-    disturbance = outcome({"f:periodic": "disturbance"}, Found(("f:periodic",), "named", 9.0, (8.0, 10.0)))
-    rows = scores.accuracy([*OUTCOMES, outcome(FRICTION, wide), disturbance])
+    rows = scores.accuracy([*OUTCOMES, outcome(FRICTION, wide)])
     assert rows == [["weak", "10.0 %", "0.667  (2 of 3)"], ["all", "10.0 %", "0.667  (2 of 3)"]]
+
+
+def test_the_amplitude_of_a_wave_has_no_sign() -> None:
+    wave = outcome({"f:periodic": "disturbance"}, Found(("f:periodic",), "named", 2.2, (1.9, 2.5)))
+    wave.coefficients["f:periodic"] = -2.0
+    assert scores.accuracy([wave])[0] == ["weak", "10.0 %", "1.000  (1 of 1)"]
 
 
 def test_failures_are_listed() -> None:

@@ -334,6 +334,10 @@ class Periodic(Effect):
 
     transferable = False
 
+    @property
+    def has_phase(self) -> bool:
+        return True
+
     def grid(self) -> Iterable[float]:
         return frequency_grid(self.scales)
 
@@ -374,6 +378,10 @@ class Ripple(Effect):
     """
 
     turn: float = 0.0
+
+    @property
+    def has_phase(self) -> bool:
+        return True
 
     @property
     def begins_measured(self) -> bool:

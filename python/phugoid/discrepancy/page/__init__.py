@@ -145,39 +145,21 @@ def _ends(low: float, high: float) -> tuple[str, str]:
     return number(low, digits), number(high, digits)
 
 
-def _wave(finding: Finding) -> str:
-    """Amplitude and frequency of a periodic disturbance, whose coefficients depend on the choice of its phase."""
-    values = [value for value, _ in finding.parameters.values()]
-    if not finding.cause.endswith(":periodic") or len(values) != 3:
-        return ""
-    sine, cosine, rate = values
-    return f"Amplitude {number(math.hypot(sine, cosine), 3)}, at {number(rate / (2.0 * math.pi), 3)} Hz."
-
-
 def _estimated(finding: Finding) -> list[str]:
     """Return what its parameters were estimated to be."""
-    wave, value = _wave(finding), value_of(finding)
-    if wave:
-        return [wave]
-    lines = [f"Estimated: {value}."] if value else []
+    value, values = value_of(finding), [value for value, _ in finding.parameters.values()]
+    if not value:  # those of each record are listed before
+        return []
+    if len(values) == 3 and finding.cause.endswith(":periodic"):
+        return [f"Amplitude: {value}, at {number(abs(values[2]) / (2.0 * math.pi), 3)} Hz."]
+    if len(values) == 3 and ":periodic_" in finding.cause:
+        return [f"Amplitude: {value}, period {number(2.0 * math.pi / abs(values[2]), 4)}."]
+    lines = [f"Estimated: {value}."]
     others = [
         repr(Estimate(name, value, error if error > 0.0 else math.nan, finding.units.get(name, "")))
         for name, (value, error) in list(finding.parameters.items())[1:]
     ]
-    if not value:  # those of each record are listed before
-        return []
-    if others:
-        lines.append(f"With {', '.join(others)}.")
-    return [*lines, *_amplitude(finding)]
-
-
-def _amplitude(finding: Finding) -> list[str]:
-    """Return the amplitude of what is periodic in a position; its coefficients are those of a sine and a cosine."""
-    values = [value for value, _ in finding.parameters.values()]
-    if ":periodic_" not in finding.cause or len(values) != 3:
-        return []
-    sine, cosine, wave = values
-    return [f"Amplitude {number(math.hypot(sine, cosine), 3)}, period {number(2.0 * math.pi / abs(wave), 4)}."]
+    return [*lines, f"With {', '.join(others)}."] if others else lines
 
 
 def with_sign(value: float) -> str:

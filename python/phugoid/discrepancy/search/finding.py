@@ -67,8 +67,9 @@ class Finding:
                    does, in free simulation; "surrogate": it fits, but stands in for something else, since a parameter
                    is outside of what is physical, or what it leaves is no noise and more than it explains;
                    "unexplained": the residuals hold more than noise, and no candidate predicts it.
-    coefficient, std_error, interval   of its first parameter, in ``unit``; the interval is of 95 %. NaN where
-                   unexplained. Standard errors are those for noise with the autocorrelation of the residuals.
+    coefficient, std_error, interval   of its first parameter, or the amplitude of what is periodic, in ``unit``; the
+                   interval is of 95 %. NaN where unexplained. Standard errors are those for noise with the
+                   autocorrelation of the residuals.
     parameters     all its parameters: name in the extended model -> (value, standard error).
     gain           in log-likelihood (once, not twice), for that noise, over the model with all
                    other findings but this.

@@ -76,7 +76,7 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
     plausible = is_plausible(final, c, explained)
     parameters = final.parameters(c)
     name = next(iter(parameters))
-    value, error = parameters[name]
+    value, error = _amplitude(*list(parameters.values())[:2]) if c.has_phase else parameters[name]
     return Finding(
         cause=c.name,
         aliases=aliases,
@@ -97,6 +97,14 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
         explained_outputs=dict(explained.outputs) if explained else {},
         rivals_explained=dict(found.rivals_explained),
     )
+
+
+def _amplitude(sine: tuple[float, float], cosine: tuple[float, float]) -> tuple[float, float]:
+    """Return the amplitude of a wave and its standard error, from the coefficients of a sine and a cosine with theirs;
+    these are nearly independent about the middle of a record."""
+    (a, of_a), (b, of_b) = sine, cosine
+    size = math.hypot(a, b)
+    return size, math.hypot(a * of_a, b * of_b) / size if size else math.hypot(of_a, of_b)
 
 
 def _remark(c: Candidate, parameters: Mapping[str, tuple[float, float]], plausible: bool) -> str:

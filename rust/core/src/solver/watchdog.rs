@@ -60,7 +60,8 @@ impl Watchdog {
             self.slope = promise.slope;
         }
         let lost = trial.objective - self.back.objective;
-        let sane = trial.worst <= ASTRAY * self.back.worst.max(1.0) && lost <= LOST * promise.gain.max(near);
+        let usual = if promise.gain < near { 0.03 } else { 1.0 };
+        let sane = trial.worst <= ASTRAY * self.back.worst.max(usual) && lost <= LOST * promise.gain.max(near);
         sane && self.age < self.patience
     }
 

@@ -187,7 +187,9 @@ class Catalogue:
         slow = [v for v in states if not v.rate]
         yield from (term("effectiveness", v, w) for v in slow for w in inputs)
         yield from (
-            term("effectiveness", v, w) for v, w in permutations(slow, 2) if self.structure.interact(place, v, w)
+            term("effectiveness", v, w)
+            for v, w in permutations(slow, 2)
+            if self.structure.interact(place, v, w) or self.structure.may_depend_on_position(place, v, w)
         )
         yield from (term(form, *factors) for form, factors in self._of_rotation(place))
         for form in ("cube", "quadratic", "absolute"):

@@ -22,7 +22,7 @@ def _record(seed: int, name: str) -> ph.Experiment:
     x = integrated(f, np.zeros(3), _TIMES, volts[:, None])
     outputs = {"x": x[:, 0] + 0.01 * rng.standard_normal(_TIMES.size)}
     outputs["i"] = x[:, 2] + 0.01 * rng.standard_normal(_TIMES.size)
-    return ph.Experiment(_TIMES, {"u": volts}, outputs, name=name)
+    return ph.Experiment(_TIMES, {"u": volts}, outputs, interpolation="hold", name=name)
 
 
 def test_a_force_per_ampere_that_falls_with_the_excursion_is_named() -> None:

@@ -233,7 +233,8 @@ class ModelStructure:
     def may_depend_on_position(self, place: Place, position: Variable, other: Variable) -> bool:
         """Tell whether the gain of a state at a place may change with a position, as the force of a current does with
         that of its coil in the magnet."""
-        return self.is_position(position) and self.is_weighed(place, other)
+        moves = self.is_position(position) and not self.turns_freely(position.symbol)
+        return moves and self.is_weighed(place, other)
 
     def is_weighed(self, place: Place, variable: Variable) -> bool:
         """Tell whether what a variable does at a place depends on a parameter that is estimated."""

@@ -46,6 +46,9 @@ __all__ = ["diagnose"]
 
 _Found = TypeVar("_Found")
 
+_NOT_EXCITED = (
+    "The validation records hardly excite {}: its gain on data held out is that of cross-validation within the records."
+)
 _OF_THESE_RECORDS = (
     "Only in the records of the fit: {}. With it, the simulation of the validation records does not improve; the "
     "extended model does not contain it."
@@ -350,6 +353,7 @@ def _all_notes(
     search, final = state.search, state.result.final
     scan = search.cache.scan(search.cache.base) if reported.ranking or not reported.ended else None
     alone = [c.name for c in final.candidates if c.name not in reported.kept.names]
+    still = [c.name for c in final.candidates if c.name in search.assessment.not_excited]
     others = () if unfitted else records.others
     return (
         *([records.restart.words] if records.restart is not None else []),
@@ -358,6 +362,7 @@ def _all_notes(
         *state.result.remarks,
         *reported.laws,
         *([_OF_THESE_RECORDS.format(", ".join(alone))] if alone else []),
+        *([_NOT_EXCITED.format(", ".join(still))] if still and others else []),
         *words_of_inputs(state.inputs, state.sampled),
         *(each.note for each in (records.segments, records.parts, records.thin) if each is not None),
     )

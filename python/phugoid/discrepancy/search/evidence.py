@@ -10,7 +10,7 @@ import numpy as np
 
 from ...residual_noise.whitening import Whitening
 from ...sensitivities import Place
-from ...sensitivities.whitened import Whitened
+from ...sensitivities.whitened import Whitened, own_whitening
 from ..candidates.candidate import Candidate, Effect, place_range
 from ..candidates.model_structure import addends
 from ..candidates.scales import evaluated
@@ -52,6 +52,8 @@ class AssessmentSettings:
     most         part of such a misfit that free simulation of held-out data must be freed of.
     chance       probability that noise of a validation record passes for a disturbance of a known frequency.
     plainly      times its threshold beyond which a gain is no random walk of a sensor.
+    moved        what two models differ by on data held out, as a sum of squares in units of the noise, below which these
+                 do not tell them from each other: the gain that the truer of them has is half of that.
     """
 
     false_alarm: float = 0.01
@@ -66,6 +68,7 @@ class AssessmentSettings:
     most: float = 0.5
     chance: float = 0.05
     plainly: float = 5.0
+    moved: float = 9.0
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,9 @@ class Assessment:
         self._held: dict[tuple[Refit, Refit], HeldOut] = {}
         self._blocks: dict[tuple[Refit, tuple[str, ...]], Simulated] = {}
         self._in_error: dict[tuple[Refit, Refit], float] = {}
+        self._moved: dict[tuple[Refit, Refit], float] = {}
+        self.not_excited: set[str] = set()
+        """Names of candidates that the validation records do not excite."""
 
     def weigh(self, base: Refit, more: Refit, candidate: Candidate) -> Evidence:
         """Return the evidence for what ``more`` has and ``base`` has not: a candidate, with others that came in its
@@ -219,10 +225,26 @@ class Assessment:
     def _gain_held_out(self, base: Refit, more: Refit) -> HeldOut:
         new = more.beside(base.candidates)
         others = self._cache.on_validation(base)
-        if others is None or not all(c.transferable for c in new):
+        if others is None or not all(c.transferable for c in new) or not self._moves(base, more):
             return across_blocks(base, more)
         mine = self._cache.on_validation(more, others)
         return HeldOut(-np.inf, 0.0, -np.inf) if mine is None else gain_on_other_data(others, mine)
+
+    def _moves(self, base: Refit, more: Refit) -> bool:
+        """Tell whether the validation records excite what a model has and another has not; else they can neither confirm
+        it nor speak against it."""
+        key = base, more
+        if key not in self._moved:
+            others = self._cache.on_validation(base)
+            mine = self._cache.on_validation(more, others) if others is not None else None
+            self._moved[key] = np.inf
+            if others is not None and mine is not None:
+                own = own_whitening(mine)
+                difference = own.errors - Whitened(others, own.filter.on(others.structure)).errors
+                self._moved[key] = float(np.sum(difference**2))
+                if self._moved[key] < self.settings.moved:
+                    self.not_excited |= {c.name for c in more.beside(base.candidates)}
+        return self._moved[key] >= self.settings.moved
 
     def explained(self, base: Refit, more: Refit) -> Explained | None:
         """Return the part of the misfit that a model explains more of than another, in free simulation of held-out
@@ -282,7 +304,8 @@ class Assessment:
             root, elsewhere = misfitting, on(misfitting)
         else:
             root, elsewhere = self._cache.diagnosed or (self._cache.base, on(self._cache.base))
-        if on(base) is not None and all(c.transferable for c in new):
+        excited = any(self._moves(base, r) for r in (one, other) if r is not base)
+        if on(base) is not None and all(c.transferable for c in new) and excited:
             first, second = on(one, on(base)), on(other, on(base))
             if first is None or second is None:
                 return None

@@ -240,8 +240,10 @@ class Assessment:
             self._moved[key] = np.inf
             if others is not None and mine is not None:
                 own = own_whitening(mine)
-                difference = own.errors - Whitened(others, own.filter.on(others.structure)).errors
-                self._moved[key] = float(np.sum(difference**2))
+                theirs = Whitened(others, own.filter.on(others.structure))
+                errors = np.full((2, mine.n_measured), np.nan)  # a late sensor leaves some samples out
+                errors[0, mine.measured_rows], errors[1, others.measured_rows] = own.errors, theirs.errors
+                self._moved[key] = float(np.nansum((errors[0] - errors[1]) ** 2))
                 if self._moved[key] < self.settings.moved:
                     self.not_excited |= {c.name for c in more.beside(base.candidates)}
         return self._moved[key] >= self.settings.moved

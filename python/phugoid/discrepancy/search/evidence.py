@@ -52,8 +52,8 @@ class AssessmentSettings:
     most         part of such a misfit that free simulation of held-out data must be freed of.
     chance       probability that noise of a validation record passes for a disturbance of a known frequency.
     plainly      times its threshold beyond which a gain is no random walk of a sensor.
-    moved        what two models differ by on data held out, as a sum of squares in units of the noise, below which these
-                 do not tell them from each other: the gain that the truer of them has is half of that.
+    moved        what two models differ by on data held out, as a sum of squares in units of the noise, below which
+                 these do not tell them from each other: the gain that the truer of them has is half of that.
     """
 
     false_alarm: float = 0.01
@@ -231,8 +231,8 @@ class Assessment:
         return HeldOut(-np.inf, 0.0, -np.inf) if mine is None else gain_on_other_data(others, mine)
 
     def _moves(self, base: Refit, more: Refit) -> bool:
-        """Tell whether the validation records excite what a model has and another has not; else they can neither confirm
-        it nor speak against it."""
+        """Tell whether the validation records excite what a model has and another has not; else they can neither
+        confirm it nor speak against it."""
         key = base, more
         if key not in self._moved:
             others = self._cache.on_validation(base)

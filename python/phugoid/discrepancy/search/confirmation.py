@@ -12,7 +12,7 @@ import numpy as np
 from ..candidates.candidate import Candidate
 from .evidence import Assessment, Evidence, is_determined, is_physical
 from .free_run import Explained
-from .refit import HeldOut, Refit
+from .refit import HeldOut, Refit, is_structured
 from .refit_cache import RefitCache
 from .screen import RICH, Screen, complexity, is_as_good, is_late
 
@@ -128,6 +128,8 @@ class ConfirmationSettings:
     richer   log-likelihood by which one with more unknowns must be ahead to be an alias.
     left     times as much of the misfit that a term may leave that stands in place of one with more unknowns.
     alias    part of what a cause explains that a rival explains, too, be it clearly less in free simulation.
+    noise    part of the residuals' power that their past predicts, below which they pass for noise.
+    beyond   log-likelihood by which a rival that acts alike to first order may be behind where they do.
     """
 
     chances: int = 3
@@ -138,6 +140,8 @@ class ConfirmationSettings:
     left: float = 1.1
     least: float = 0.01
     alias: float = 0.9
+    noise: float = 0.05
+    beyond: float = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,6 +324,8 @@ class Confirmation:
         alike = {c.name for c in self._screen.alike(without, candidate, filter)}
         rivals, parts = {}, {}
         own = assess.explained(without, at)
+        # Where a term leaves nothing but noise, likelihoods tell what first order does not.
+        clean = not is_structured(at, self.settings.noise)
         confirmed = bool(self._cache.validation) and candidate.transferable and own is not None and own.part > _MOST
         for r, _ in self._refitting.rivals(at, candidate, fit=named):
             if r.names == at.names:
@@ -339,7 +345,7 @@ class Confirmation:
             # The test says little where few samples tell the two apart: this much less is no matter of chance.
             if gain < 0.5 * whole and whole - gain > self.settings.far:
                 continue
-            like = other.name in alike and gain > 0.5 * whole
+            like = other.name in alike and gain > 0.5 * whole and not (clean and d.sum() > self.settings.beyond)
             if not like and float(d.sum()) >= self.settings.vuong * float(np.sqrt(d.size) * d.std()):
                 continue
             explained = assess.explained(without, r)  # last, for it takes a fit to the data held out

@@ -45,8 +45,7 @@ _ORDER = ("parameter", "output", "input", "equation")
 # Log-likelihood by which two are not distinguished.
 _ALIKE = 2.0
 _ITERATIONS = 60
-# Part of the residuals' power that is predictable, from which on so many parameters are fitted whatever first order
-# says.
+# Part of the residuals' power that is predictable, from which on so many more are fitted, whatever first order says.
 _ERROR, _MANY = 0.5, 12
 # Of an option's effect on the outputs: below it parameters that are there can do the same.
 _NOTHING = 1e-6
@@ -178,12 +177,13 @@ def _differing(at: Refit) -> tuple[Refit, list[tuple[_Difference, tuple[str, ...
     first, chosen = at, list[tuple[_Difference, tuple[str, ...]]]()
     while len(chosen) < _MOST:
         options = _options(at)
-        ranked = _ranked(at.linear, options)[:_TRIED]
+        ranked = _ranked(at.linear, options)
+        tried = ranked[:_TRIED]
         if not chosen and is_structured(at, _ERROR):
-            # Where one value for all is far from that of any record, first order says nothing of it.
+            # Where one value for all is far from that of any record, first order says little of it.
             far = [o for o in options if o.place.kind == "parameter"] + [o for o in options if o.scale]
-            ranked += [o for o in far if o not in ranked][:_MANY]
-        refits = [(r, o) for o in ranked if (r := _with(at, o)) is not None]
+            tried += [o for o in dict.fromkeys([*ranked, *far]) if o not in tried][:_MANY]
+        refits = [(r, o) for o in tried if (r := _with(at, o)) is not None]
         if not refits:
             break
         best = max(r.merit for r, _ in refits)

@@ -30,7 +30,7 @@ from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
 from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable
 from .scales import Scales, output_key
-from .terms import FORMS, LaggedVariable, ParameterDrift, ParameterStep, Periodic, Rate, Ripple, Term, where
+from .terms import FORMS, LaggedVariable, ParameterDrift, Periodic, Rate, Ripple, Step, Term, where
 
 __all__ = ["Catalogue", "Names", "stem"]
 
@@ -91,9 +91,19 @@ class Catalogue:
             )
         for name in self.structure.acting:
             words = f"{name} changes abruptly during the record (a load, a setting, a failure)"
-            place = Place("parameter", name)
-            shape = (self.names(f"time_of_step_{name}"),)
-            yield ParameterStep(f"{name}:step", place, words, "step", self.scales, (self.names(f"step_{name}"),), shape)
+            yield self._step(Place("parameter", name), name, words)
+        for place in self.structure.places:
+            if place.kind == "output":
+                words = f"the zero of {place.name} jumps during the record (a sensor that is set anew, or slips)"
+                yield self._step(place, stem(place), words)
+
+    def _step(self, place: Place, named: str, words: str) -> Step:
+        title, shape = (
+            f"{self.structure.shown(place) if place.kind == 'output' else place.name}:step",
+            f"time_of_step_{named}",
+        )
+        names = (self.names(f"step_{named}"),), (self.names(shape),)
+        return Step(title, place, words, "step", self.scales, *names)
 
     def _of_exact_quantities(self) -> Iterator[Effect]:
         """Yield dead zones and limits of quantities that forces are functions of, such as the play of a gear in the

@@ -21,10 +21,10 @@ __all__ = [
     "FORMS",
     "LaggedVariable",
     "ParameterDrift",
-    "ParameterStep",
     "Periodic",
     "Rate",
     "Ripple",
+    "Step",
     "Term",
     "tabulated",
     "where",
@@ -457,8 +457,9 @@ _TIMES, _WIDE = 24, 2.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ParameterStep(Effect):
-    """The parameter p becomes p + d from a time on: a load that is dropped, a flap that is set, a part that fails."""
+class Step(Effect):
+    """A parameter p becomes p + d from a time on: a load that is dropped, a flap that is set, a part that fails. Or an
+    output does: an altimeter that is set anew, an encoder that slips."""
 
     transferable = False
 
@@ -485,7 +486,10 @@ class ParameterStep(Effect):
         span = self.scales.begin, self.scales.begin + self.scales.duration
         at = extension.parameter(name, self.shapes[len(self.shapes) // 2][name], bounds=span, unit="s")
         jump = d * smooth_step(Expr.symbol("time") - at, self._width)
-        extension.replace_parameter(self.place.name, Expr.symbol(self.place.name) + jump)
+        if self.place.kind == "output":
+            extension.add(self.place, jump)
+        else:
+            extension.replace_parameter(self.place.name, Expr.symbol(self.place.name) + jump)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:

@@ -184,9 +184,10 @@ def finding_lines(finding: Finding) -> list[str]:
         lines.append("A surrogate: it fits the data, but may represent another cause.")
     if math.isfinite(finding.explained):
         lines.append(_explained_in_words(finding))
-    gain = f"Gain in log-likelihood, residuals whitened: {with_sign(finding.gain)} (threshold {finding.threshold:.1f})"
+    gain = f"Gain in log-likelihood, each model with its own coloured noise: {with_sign(finding.gain)}"
+    gain += f" (threshold {finding.threshold:.1f})"
     if math.isfinite(finding.held_out_gain):
-        gain += f"; on data held out: {with_sign(finding.held_out_gain)}"
+        gain += f"; on data held out, both with the noise of the extended model: {with_sign(finding.held_out_gain)}"
     if math.isfinite(finding.gain):
         lines.append(f"{gain}.")
     if finding.cause and finding.held_out_gain <= 0.0:

@@ -138,6 +138,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         *("aq:scale", "aq:drift", "aq:V", "aq:alpha", "aq:theta", "aq:q", "aq:de", "aq:T", "aq:q^2"),
         *("aq:aq^2", "aq:aq^3", "aq:lag_T", "aq:periodic_alpha", "aq:periodic_theta", "aq:clipped", "aq:lag"),
         "aq:delay",
+        "aq:step",
     )
     # The elevator stands beside Cmde and Cm0 only: its scale and bias are theirs.
     inputs = ("de:deadband", "de:saturation", "de:backlash", "de:rate_limit", "de:lag", "de:delay")

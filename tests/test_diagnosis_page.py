@@ -301,15 +301,15 @@ def test_summary_has_evidence_rivals_and_what_is_open(diagnosis: Any) -> None:
     text = diagnosis_summary(diagnosis)
     for words in (
         "Estimated: -0.80 ± 0.05 1/rad (95 %: -0.9 to -0.7).",
-        "Gain in log-likelihood, each model with its own coloured noise: +120.0 (threshold 17.0); on data held out, both "
-        "with the noise of the extended model: +31.5.",
+        "Gain in log-likelihood, each model with its own coloured noise: +120.0 (threshold 17.0); on data held out, "
+        "both with the noise of the extended model: +31.5.",
         "The data do not distinguish it from: q':q^2 (+96.0).",
         "A surrogate: it fits the data, but may represent another cause.",
         "3. a cause not established",
         "Half of the record <was> held out.",
         diagnosis.misfit.worst[0] + ": residual",
     ):
-        assert words in text
+        assert words in " ".join(text.split())
     assert max(map(len, text.split("\n"))) <= 110
     assert "nan" not in text
 

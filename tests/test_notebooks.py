@@ -311,6 +311,19 @@ def test_progress_takes_one_line_of_a_notebook(monkeypatch: pytest.MonkeyPatch, 
     assert capsys.readouterr().err == ""
 
 
-def test_a_model_without_quantities_is_advised_to_declare_them(diagnosis: ph.results.Diagnosis) -> None:
+def test_a_flow_that_equations_share_is_advised_to_be_declared(diagnosis: ph.results.Diagnosis) -> None:
     assert not diagnosis.fit.model.quantity_names
-    assert any("m.quantities(...)" in note for note in diagnosis.notes)
+    assert not any("m.quantities(...)" in note for note in diagnosis.notes)  # its equations share nothing
+    m = ph.Model("tanks")
+    h1, h2 = m.states(h1="m", h2="m")
+    (u,) = m.inputs(u="m/s")
+    k, c = m.parameters(k=0.5, c=0.3)
+    m.dynamics(h1=u - k * h1, h2=k * h1 - c * h2)
+    m.outputs(h1=h1, h2=h2)
+    t = np.arange(0.0, 30.0, 0.2)
+    run = ph.Experiment(t, {"u": 0.3 + 0.2 * np.sign(np.sin(0.5 * t))}, {}, name="a")
+    flow = ph.simulate(m, {"k": 0.4, "c": 0.2}, run, initial={"h1": 1.0, "h2": 1.0})
+    rng = np.random.default_rng(0)
+    noisy = {n: y + 0.01 * rng.standard_normal(t.size) for n, y in flow.outputs.items()}
+    d = ph.diagnose(ph.estimate(m, ph.Experiment(t, {"u": run.inputs["u"]}, noisy, name="a")))
+    assert any("m.quantities(...)" in note for note in d.notes)

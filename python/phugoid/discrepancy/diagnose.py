@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from ..data.experiment import Experiment
 from ..errors import DataError, EvaluationError, some
 from ..fit_result import ENDED_WELL, FitResult
+from ..modelling.model import Model
 from ..progress import StatusLine
 from ..sensitivities.tangents import collocated
 from ..solvers import Deadline, check_time, interrupts, limited, one_blas_thread
@@ -368,6 +369,13 @@ def _all_notes(
     )
 
 
+def _shares(model: Model) -> bool:
+    """Tell whether several state equations have a parameter in common."""
+    right = model._right_hand_sides()
+    within = [{*e.symbols} for (kind, _), e in right.items() if kind == "equation"]
+    return any(sum(n in symbols for symbols in within) > 1 for n in model.parameter_names)
+
+
 def _notes(
     scan: Scan | None,
     final: Refit,
@@ -393,7 +401,7 @@ def _notes(
         )
     if len(final.candidates) >= most:
         notes.append(f"The search ends after {most} findings: diagnose the extended fit to continue.")
-    if not final.fit.model.quantity_names:
+    if not final.fit.model.quantity_names and _shares(final.fit.model):
         notes.append(
             "The model declares no quantities. Of a force, a flow or a rate that several equations share, candidates "
             "act on all of them at once where it is declared by m.quantities(...)."

@@ -21,8 +21,8 @@ __all__ = ["HOW", "EquationScale", "FactorLaw", "ParameterLaw", "SaturatingRate"
 
 _Array = NDArray[np.float64]
 
-# Least and greatest factor by which an inertia or a rate that depends on a variable may change over a record.
-_FACTOR = (0.1, 10.0)
+# Least and greatest factor by which a rate that depends on a variable may change over a record, and an inertia.
+_FACTOR, _OF_INERTIA = (0.1, 10.0), (0.3, 3.0)
 # Part of its greatest value above which a variable must stay for a power of it.
 _ABOVE = 0.05
 # Half-saturation constants, in parts of the greatest value of the variable: least, greatest, and number in a scan.
@@ -66,7 +66,7 @@ class EquationScale(Scale):
         if not self.power:
             return super().physical(points)
         peak = max(self.scales.peak(*self.variables) ** self.power, 1e-300)
-        low, high = _FACTOR
+        low, high = _OF_INERTIA
         return {self.coefficients[0]: ((low - 1.0) / peak, (high - 1.0 if self.power % 2 == 0 else 1.0 - low) / peak)}
 
     def has_reason(self, values: Mapping[str, float]) -> bool:

@@ -133,7 +133,8 @@ def diagnose(
 
         search = Search(records.base, listed, records.others, step, free)
         try:
-            search.cache.try_validation()
+            with deadline.in_force():
+                search.cache.try_validation()
         except DataError as error:
             unfitted = f"{str(error).removeprefix('diagnose: ')}: it is left out."
             free = None
@@ -217,12 +218,12 @@ def _prepared(fit: FitResult, others: Sequence[Experiment], deadline: Deadline) 
     base = Refit((), begun)
     check_size(base)
     again = records.restart is not None
-    thin = None if again else thinned(base, others)
+    thin = None if again else _within(deadline, partial(thinned, base, others), None)
     base, others = (base, others) if thin is None else (thin.base, thin.validation)
     segments = records.restart.segments if records.restart is not None else None
-    parts = parts_of(base, others) if segments is None else None
+    parts = _within(deadline, partial(parts_of, base, others), None) if segments is None else None
     base, others = (base, others) if parts is None else (parts.base, parts.validation)
-    segments = segments or segments_of(base, others)
+    segments = segments or _within(deadline, partial(segments_of, base, others), None)
     base, others = (base, others) if segments is None else (segments.base, segments.validation)
     # That of a fit as it was given is the user's own, on its own mesh.
     own = fit if not again and thin is None and parts is None and segments is None else base.fit

@@ -183,10 +183,11 @@ def fitted_to(
     return Refit(at.candidates, found) if found.status in ENDED_WELL else None
 
 
-def values_of(fit: FitResult) -> dict[str, float]:
+def values_of(fit: FitResult) -> FitResult | dict[str, float]:
     """Return the estimates of the model's parameters that all experiments share, without those of the noise, as a start
-    without the path of the fit."""
-    return {n: fit.parameters[n].value for n in fit.model.parameter_names if n in fit.parameters}
+    without the path of the fit; with the widths over which kinks were smoothed, which need not be found again."""
+    values = {n: fit.parameters[n].value for n in fit.model.parameter_names if n in fit.parameters}
+    return replace(started_from(fit, values), records=[]) if fit.smoothing else values
 
 
 def _with_paths(
@@ -344,9 +345,9 @@ def on_other_data(
     known = {n: [e.value for e in estimates_of(fit.parameters, [n]).values()] for n in free}
     mesh = mesh_for(fit, data)
     first = {n: float(np.mean(v)) for n, v in known.items() if v}
-    # Widths over which kinks were smoothed need not be found again.
-    smoothed = replace(started_from(fit, first), records=[]) if fit.smoothing else None
-    starts: list[FitResult | dict[str, float]] = [smoothed or first]
+    starts: list[FitResult | dict[str, float]] = [
+        replace(started_from(fit, first), records=[]) if fit.smoothing else first
+    ]
     if near is not None:  # its path may be out of reach of this model: then the measured one
         starts.insert(0, _with_paths(started_from(near.fit, ()), refit.candidates, near.points, values))
     # A model that is as far off with another path as it is near it has no better branch.

@@ -137,6 +137,22 @@ def test_flights_stay_within_the_envelope_until_they_are_over() -> None:
             assert np.abs(v[:end] - v[0]).max() <= 2 * np.abs(record.outputs[name] - record.outputs[name][0]).max()
 
 
+def test_what_never_was_negative_stays_so() -> None:
+    m = ph.Model("tank")
+    (h,) = m.states(h="m")
+    (flow,) = m.inputs(flow="m/s")
+    k, c = m.parameters(k=1.0, c=0.2)
+    m.dynamics(h=k * flow - c * h)
+    m.outputs(h=h)
+    data = ph.Experiment(T, {"flow": np.where((T > 3) & (T < 9), 0.5, 0.1)})
+    level = ph.simulate(m, {"k": 1.2, "c": 0.3}, data, initial={"h": 0.5}).outputs["h"]
+    noise = 0.01 * np.random.default_rng(0).standard_normal(T.size)
+    flights = CandidateManoeuvres(Refit((), ph.estimate(m, data.with_outputs({"h": level + noise}))))
+    assert len(flights.manoeuvres) > 5
+    assert flights.inputs.min() >= 0.0
+    assert max(flights.inputs[:, 0].max(axis=1)) > 0.4  # those to the other side are there
+
+
 def roll(rate: float, ref: np.ndarray) -> Refit:
     """A roll rate that grows as exp(rate t) where no feedback holds it, as it did in the record."""
     m, closed = ph.Model("roll"), ph.Model("closed")

@@ -104,6 +104,13 @@ _ROUNDING = 1e-9
 _MARGIN = 1.5
 
 
+def _signs(records: Sequence[_Array]) -> tuple[float, float]:
+    """Return between which values a channel may go: one that never was negative, or positive, stays so, as a flow or a
+    concentration does."""
+    low, high = min(float(r.min()) for r in records), max(float(r.max()) for r in records)
+    return (0.0 if low >= 0.0 else -np.inf), (0.0 if high <= 0.0 < -low else np.inf)
+
+
 class CandidateManoeuvres:
     """The manoeuvres that the model with the cause flies within the envelope."""
 
@@ -147,6 +154,9 @@ class CandidateManoeuvres:
                 some = list(manoeuvres_of_size(name, model.units.get(name, ""), self.t, size * farthest))
                 if size in _SMALL:
                     some = [m for m in some if m.kind in SLOW]
+                low, high = _signs([e.input(name) for e in data])
+                start = float(data[0].input(name)[0])
+                some = [m for m in some if low <= start + float(m.moves.min()) and start + float(m.moves.max()) <= high]
                 listed += some
                 self._sizes += [size] * len(some)
         return listed
@@ -173,6 +183,9 @@ class CandidateManoeuvres:
             with np.errstate(invalid="ignore"):
                 away = np.abs(v - v[:, :, :1])
                 inside &= (away <= limit[:, None] + _ROUNDING * np.abs(v[:, :, :1])).all(axis=1)
+        ranges = np.array([_signs([r.states[n] for r in fit.records]) for n in model.state_names])
+        with np.errstate(invalid="ignore"):
+            inside &= ((x >= ranges[:, :1]) & (x <= ranges[:, 1:])).all(axis=1)
         return np.where(inside.all(axis=1), inside.shape[1], np.argmin(inside, axis=1))
 
     def record(self, i: int) -> Experiment:

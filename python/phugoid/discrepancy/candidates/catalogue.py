@@ -390,7 +390,7 @@ class Catalogue:
         shows = [v for v in self.structure.variables if v.symbol in at_once]
         if any(self.structure.is_position(v) or (shows == [v] and self.structure.is_angle(v)) for v in shows):
             words = (
-                f"the sensor of {y} has backlash: after a reversal it stays until the motion exceeds twice the estimate"
+                f"the sensor of {y} has backlash: after a reversal it stays within a play of ± the estimate"
             )
             key = (output_key(y),)
             yield Backlash(
@@ -444,7 +444,7 @@ class Catalogue:
                 Backlash,
                 "backlash",
                 f"backlash_{u}",
-                f"{u} has backlash: after a reversal it has no effect until its motion exceeds twice the estimate",
+                f"{u} has backlash: after a reversal it has no effect within a play of ± the estimate",
             ),
             (RateLimit, "rate_limit", f"rate_limit_{u}", f"the rate of {u} is limited"),
             (InputLag, "lag", f"lag_{u}", f"{u} acts with a lag (first-order actuator)"),

@@ -137,7 +137,7 @@ FORMS: Mapping[str, Form] = {
         lambda x, span: x / sqrt(smooth_abs(x, _KINK * span)),
         "sqrt({0})",
         "sqrt_{0}",
-        "contains a term proportional to the square root of {0} (flow through an orifice)",
+        "contains a term proportional to the square root of {0} (as a flow through an orifice)",
         centred=False,
     ),
     # Friction turns with the motion itself, not about a trim.

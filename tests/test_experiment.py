@@ -60,7 +60,7 @@ def test_units_are_of_channels_that_the_record_has() -> None:
 
 def test_repr_counts_missing_samples() -> None:
     e = run(outputs={"q": spoilt(3, NAN)})
-    assert repr(e) == "Experiment('run1', 11 samples, 0 to 1 s, inputs: de, outputs: q (1 missing))"
+    assert repr(e) == "Experiment('run1', 11 samples, 0 to 1, inputs: de, outputs: q (1 missing))"
 
 
 def test_arrays_are_copies_and_read_only() -> None:
@@ -118,7 +118,7 @@ def test_refuses_time_that_is_not_finite(bad: float) -> None:
 @pytest.mark.parametrize("later", [0.3, 0.25])
 def test_refuses_time_that_does_not_increase(later: float) -> None:
     message = refusal(t=[0.1, 0.2, 0.3, later, 0.5], inputs={}, outputs={})
-    assert has(message, "run1", f"sample 3 ({later} s)", "sample 2 (0.3 s)", "sort", "repeated")
+    assert has(message, "run1", f"sample 3 ({later})", "sample 2 (0.3)", "sort", "repeated")
 
 
 def test_refuses_wrong_length() -> None:
@@ -136,12 +136,12 @@ def test_refuses_scalar_channel() -> None:
 @pytest.mark.parametrize("bad", [NAN, INF, -INF])
 def test_refuses_gaps_in_inputs(bad: float) -> None:
     message = refusal(inputs={"de": spoilt(7, bad)})
-    assert has(message, "input 'de'", f"sample 7 (t = 0.7 s) is {bad}", "fill or cut")
+    assert has(message, "input 'de'", f"sample 7 (t = 0.7) is {bad}", "fill or cut")
 
 
 def test_refuses_infinity_in_outputs() -> None:
     message = refusal(outputs={"q": spoilt(2, -INF)})
-    assert has(message, "output 'q'", "sample 2 (t = 0.2 s) is -inf", "NaN")
+    assert has(message, "output 'q'", "sample 2 (t = 0.2) is -inf", "NaN")
 
 
 def test_refuses_output_that_is_missing_throughout() -> None:
@@ -164,7 +164,7 @@ def test_refuses_what_is_not_real_numbers(values: Any, word: str) -> None:
 
 def test_names_the_sample_of_an_odd_object() -> None:
     values = np.array([*T[:5], "high", *T[6:]], dtype=object)
-    assert has(refusal(outputs={"q": values}), "output 'q'", "sample 5 (t = 0.5 s) is 'high'")
+    assert has(refusal(outputs={"q": values}), "output 'q'", "sample 5 (t = 0.5) is 'high'")
 
 
 def test_refuses_unknown_interpolation() -> None:
@@ -183,7 +183,7 @@ def test_window_keeps_its_ends_in_spite_of_rounding() -> None:
 
 
 def test_window_outside_the_record_says_where_it_is() -> None:
-    with pytest.raises(DataError, match=r"'run1': the window 5 to 6 s holds 0 samples.*0 to 1 s"):
+    with pytest.raises(DataError, match=r"'run1': the window 5 to 6 holds 0 samples.*0 to 1$"):
         run().window(5.0, 6.0)
 
 
@@ -246,7 +246,7 @@ def test_check_for_says_where_an_output_is_needed_as_input() -> None:
 
 def test_check_for_finds_gaps_in_a_channel_used_as_input() -> None:
     e = Experiment(T, channels={"de": spoilt(7, NAN), "q": T}, name="run1")
-    with pytest.raises(DataError, match=r"input 'de': sample 7 \(t = 0.7 s\) is nan; .*fill or cut"):
+    with pytest.raises(DataError, match=r"input 'de': sample 7 \(t = 0.7\) is nan; .*fill or cut"):
         e.check_for(["de"], ["q"])
 
 
@@ -254,7 +254,7 @@ def test_check_for_finds_infinity_and_dead_channels_used_as_outputs() -> None:
     e = Experiment(T, channels={"q": np.full(11, NAN), "r": spoilt(0, INF)})
     with pytest.raises(DataError, match="output 'q': is NaN throughout"):
         e.check_for([], ["q"])
-    with pytest.raises(DataError, match=r"output 'r': sample 0 \(t = 0 s\) is inf"):
+    with pytest.raises(DataError, match=r"output 'r': sample 0 \(t = 0\) is inf"):
         e.check_for([], ["r"])
 
 

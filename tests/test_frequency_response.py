@@ -150,14 +150,14 @@ def test_a_finer_input_is_taken_at_the_samples_of_the_output() -> None:
         ({"method": "h2"}, ph.OptionError, "method is 'etfe' or 'h1', not 'h2'"),
         ({"smoothing": 1.0, "method": "h1"}, ph.OptionError, "smoothing is for the ETFE"),
         ({"smoothing": 1.0, "period": 100}, ph.OptionError, "smoothing is for the ETFE"),
-        ({"smoothing": 1e-3}, ph.OptionError, "'shake' shows 10001 frequencies, 0.005 Hz apart; take at least 0.01 Hz"),
-        ({"smoothing": -1}, ph.OptionError, "smoothing (Hz) is a positive number, not -1"),
+        ({"smoothing": 1e-3}, ph.OptionError, "'shake' shows 10001 frequencies, 0.005 apart; take at least 0.01"),
+        ({"smoothing": -1}, ph.OptionError, "smoothing is a positive number, not -1"),
         ({"segment": 100}, ph.OptionError, "segment is for 'h1'"),
         ({"segment": 30000, "method": "h1"}, ph.DataError, "20000 samples are too few for segments of 30000"),
         ({"period": 1}, ph.OptionError, "period is a whole number from 2, not 1"),
         ({"period": 30000}, ph.DataError, "a period of 30000 samples is longer than the record of 20000"),
         ({"period": "auto"}, ph.DataError, "experiment 'shake', input 'u': does not repeat within half the record"),
-        ({"band": (60, 70)}, ph.DataError, "no frequency lies between 60 and 70 Hz; they run from 0.005 to 50 Hz"),
+        ({"band": (60, 70)}, ph.DataError, "no frequency lies between 60 and 70; they run from 0.005 to 50 Hz"),
     ],
 )
 def test_what_cannot_be(options: dict, kind: type, words: str) -> None:

@@ -210,7 +210,7 @@ def test_what_is_shown() -> None:
     found = ph.manoeuvres(log())
     lines = found.summary().splitlines()
     assert lines[0] == "log: 9 manoeuvres" and "doublet" in lines[4] and "together" in lines[2]
-    assert "<table" in found._repr_html_() and str(found[0]) == "doublet of de, 20.0 to 21.0 s"
+    assert "<table" in found._repr_html_() and str(found[0]) == "doublet of de, 20.0 to 21.0"
     figure, axes = found.plot()
     assert list(axes) == ["de", "da"] and len(axes["da"].patches) == 2
     plt.close(figure)
@@ -230,7 +230,7 @@ def test_what_is_shown() -> None:
         (lambda: ph.manoeuvres(log(), threshold=2.0), "below 1"),
         (lambda: ph.manoeuvres(log(), gap=-1.0), "gap is a positive number"),
         (lambda: ph.manoeuvres(log()).of("dr"), "'dr' is neither an input"),
-        (lambda: ph.manoeuvres(log()).cut(before=-1.0), "before is a number of s from 0"),
+        (lambda: ph.manoeuvres(log()).cut(before=-1.0), "before is a number from 0"),
         (lambda: ph.manoeuvres(log())[:0].cut(), "no manoeuvres were found in 'log'"),
         (lambda: log().cut([(3.0, 2.0)]), "ends before it begins"),
         (lambda: log().cut([3.0]), "spans are pairs of times"),

@@ -183,7 +183,7 @@ def test_a_state_that_nothing_tells_of_is_named() -> None:
     m.outputs(x=x)
     fit = estimate(m)
     assert fit.status == "unidentifiable"
-    assert "y at t = 0 s" in fit.message
+    assert "y at t = 0 of" in fit.message
     assert fit.parameters["a"].std_error == pytest.approx(0.0085, rel=0.1)
 
 

@@ -175,6 +175,21 @@ def test_the_log_likelihood_is_that_of_the_tables(tmp_path: Path, change: dict[s
     assert p.log_likelihood(change) == pytest.approx(by_hand(**{**NOMINAL, **change}), abs=1e-6)
 
 
+@pytest.mark.parametrize(("multiplier", "unit"), [(60.0, "min"), (3600.0, "h"), (1.0, "s"), (7.0, "tick")])
+def test_the_unit_of_time_is_that_of_the_model(tmp_path: Path, multiplier: float, unit: str) -> None:
+    def with_unit(model: Any) -> None:
+        definition = model.createUnitDefinition()
+        definition.setId("tick")
+        tick = definition.createUnit()
+        tick.setKind(libsbml.UNIT_KIND_SECOND)
+        tick.setMultiplier(multiplier)
+        tick.setExponent(1)
+        tick.setScale(0)
+        model.setTimeUnits("tick")
+
+    assert ph.read_petab(problem(tmp_path, sbml(with_unit))).model.time_unit == unit
+
+
 def test_an_estimate_has_the_likelihood_of_the_integration(tmp_path: Path) -> None:
     p = ph.read_petab(problem(tmp_path))
     held = p.model.with_parameters({n: ph.Parameter(NOMINAL[n], fixed=True) for n in ("noise_a", "noise_b", "scale")})

@@ -61,7 +61,7 @@ def test_a_table_without_times_has_a_rate(table: Any) -> None:
     np.testing.assert_array_equal(e.t, [0.0, 0.25, 0.5])
     np.testing.assert_array_equal(e.output("y"), [2.0, 4.0, 6.0])
     assert has(refusal(path), "no time column 't'", "rate=")
-    assert has(refusal(path, rate=-4.0), "rate is a positive number of samples a second, not -4.0")
+    assert has(refusal(path, rate=-4.0), "rate is a positive number of samples per unit of time, not -4.0")
 
 
 def test_named_inputs_alone_leave_the_rest_open(table: Any) -> None:
@@ -120,16 +120,16 @@ def test_missing_cells_become_nan(table: Any, cell: str) -> None:
 def test_units_come_from_the_header(table: Any) -> None:
     e = read(table("t [s],alpha (deg),V[m/s],Mach [-]\n0,1,2,0.3\n1,3,4,0.3\n"), units={"V": "kt"})
     assert list(e.channels) == ["alpha", "V", "Mach"]
-    assert dict(e.units) == {"alpha": "deg", "V": "kt"}  # time is in s, and no channel
+    assert dict(e.units) == {"alpha": "deg", "V": "kt", "time": "s"}
 
 
 def test_units_come_from_a_row_of_their_own(table: Any) -> None:
     e = read(table("t,alpha\n[s],deg\n0,1\n1,3\n"))
-    assert (dict(e.units), e.n) == ({"alpha": "deg"}, 2)
+    assert (dict(e.units), e.n) == ({"alpha": "deg", "time": "s"}, 2)
 
 
 def test_units_hold_where_blanks_delimit(table: Any) -> None:
-    assert dict(read(table("t [s]  q [rad/s]\n0 1\n1 2\n", "a.dat")).units) == {"q": "rad/s"}
+    assert dict(read(table("t [s]  q [rad/s]\n0 1\n1 2\n", "a.dat")).units) == {"q": "rad/s", "time": "s"}
 
 
 def test_an_index_in_brackets_is_no_unit(table: Any) -> None:
@@ -207,7 +207,7 @@ def test_decimal_comma_is_not_guessed(table: Any) -> None:
 
 def test_gap_in_a_declared_input_is_refused(table: Any) -> None:
     message = refusal(table("t,de,q\n0,1,2\n1,,3\n"), inputs=["de"])
-    assert has(message, "experiment 'run1', input 'de'", "sample 1 (t = 1 s)", "fill or cut")
+    assert has(message, "experiment 'run1', input 'de'", "sample 1 (t = 1)", "fill or cut")
 
 
 def test_absent_file_names_its_neighbour(table: Any) -> None:

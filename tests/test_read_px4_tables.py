@@ -44,7 +44,7 @@ def test_window_leaves_the_inputs_to_its_ends(folder: Path) -> None:
     e = read(folder, window=(1.05, 1.15), **names)
     np.testing.assert_allclose(e.t, [1.06, 1.08, 1.10, 1.12, 1.14])
     assert e.samples("vehicle_servo.control[0]")[0].size == 4
-    with pytest.raises(DataError, match=r"no sample of 'vehicle_servo.control\[0\]' lies in the window 5 to 6 s"):
+    with pytest.raises(DataError, match=r"no sample of 'vehicle_servo.control\[0\]' lies in the window 5 to 6;"):
         read(folder, window=(5.0, 6.0), **names)
 
 

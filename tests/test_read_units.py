@@ -81,7 +81,7 @@ def test_header_units_become_si(path: Path) -> None:
     e = read(path, inputs=[], outputs=["alpha", "V"], convert=True)
     np.testing.assert_allclose(e.t, [0.0, 0.1])
     np.testing.assert_allclose(e.outputs["alpha"], [math.pi / 2, math.pi])
-    assert dict(e.units) == {"alpha": "rad", "V": "m/s"}
+    assert dict(e.units) == {"alpha": "rad", "V": "m/s", "time": "s"}
     assert e.history == ("converted alpha from deg to rad, V from kt to m/s",)
 
 
@@ -89,7 +89,7 @@ def test_one_channel_alone(path: Path) -> None:
     e = read(path, units={"alpha": ("deg", "rad")}, rename={"V [kt]": "v"})
     np.testing.assert_allclose(e.output("alpha"), [math.pi / 2, math.pi])
     np.testing.assert_array_equal(e.output("v"), [1.0, 2.0])
-    assert dict(e.units) == {"alpha": "rad", "v": "kt", "n": "furlong"}
+    assert dict(e.units) == {"alpha": "rad", "v": "kt", "n": "furlong", "time": "s"}
 
 
 def test_milliseconds_are_never_taken_for_seconds(path: Path) -> None:

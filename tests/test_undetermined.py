@@ -54,7 +54,7 @@ def test_a_bias_and_the_first_state_that_it_hides_are_both_named() -> None:
     fit = ph.estimate(m, run)
     assert fit.status == "unidentifiable"
     (warning,) = fit.warnings
-    assert warning.startswith("b, theta at t = 0 s of 'run' cannot be distinguished")
+    assert warning.startswith("b, theta at t = 0 of 'run' cannot be distinguished")
     assert np.isnan(fit.parameters["b"].std_error)
     assert np.isnan(fit.initial_states["run"]["theta"].std_error)
     # Their sum is known, and what has no part in it has its error.

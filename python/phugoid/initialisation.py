@@ -126,7 +126,7 @@ def _states(
             if not np.isfinite(array).all():
                 i = int(np.flatnonzero(~np.isfinite(np.atleast_1d(array)))[0])
                 raise DataError(
-                    f"start: state '{name}' is {np.atleast_1d(array)[i]} at sample {i} (t = {experiment.t[i]} s)"
+                    f"start: state '{name}' is {np.atleast_1d(array)[i]} at sample {i} (t = {experiment.t[i]})"
                 )
         given.append((name, [array] * len(experiments) if array.ndim else float(array)))
     return given

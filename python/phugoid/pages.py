@@ -24,6 +24,7 @@ from .data.filtering import kind_of
 from .errors import DataError
 from .figures import labelled
 from .records import Record
+from .time_unit import time_unit_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -127,6 +128,7 @@ def histories(record: Record, sigmas: Mapping[str, float] = {}, first: str = "")
         "first": f"r {first}",
         "over": variables[:2],
         "note": note,
+        "unit": time_unit_of(record.units),
     }
 
 
@@ -155,7 +157,7 @@ def sources(
     rows = []
     for r in records:
         missing = sum(int((z != z).sum()) for z in r.measured.values())
-        span = f"{r.t[0]:g} to {r.t[-1]:g} s"
+        span = f"{r.t[0]:g} to {r.t[-1]:g} {time_unit_of(r.units)}"
         rows.append([r.name, str(r.n), span, str(missing), ", ".join(r.inputs), ", ".join(r.outputs)])
     versions = f"phugoid {_core.__version__}, Python {platform.python_version()}, numpy {numpy.__version__}, "
     versions += f"scipy {scipy.__version__}, matplotlib {matplotlib.__version__}"

@@ -15,6 +15,7 @@ from .errors import ByName, DataError, joined
 from .modelling.model import Model
 from .notebook import channels_table, notebook_page
 from .tabular import record_dataset, record_frame
+from .time_unit import time_unit_of
 
 if TYPE_CHECKING:
     import pandas
@@ -124,7 +125,7 @@ class Record:
 
     def _repr_html_(self) -> str:
         groups = {"input": self.inputs, "output": self.outputs, "state": self.states, "residual": self.residuals}
-        note = f"{self.n} samples, {self.t[0]:g} to {self.t[-1]:g} s"
+        note = f"{self.n} samples, {self.t[0]:g} to {self.t[-1]:g} {time_unit_of(self.units)}"
         return notebook_page(self.name, channels_table(groups, self.units, self.t), note=note)
 
     def __repr__(self) -> str:

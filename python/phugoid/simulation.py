@@ -21,6 +21,7 @@ from .initialisation import measured_states
 from .modelling.model import Model
 from .records import Record, record_of
 from .solvers import limited
+from .time_unit import SECONDS, TimeUnit
 from .transcription import Collocation, records_of
 
 if TYPE_CHECKING:
@@ -176,7 +177,7 @@ class IntegrationError:
     """The error that each of S segments of one experiment adds to the path.
 
     name    the experiment's.
-    edges   (S + 1,) ends of the segments, s.
+    edges   (S + 1,) ends of the segments.
     errors  state -> (S,): how far, at most, the collocation polynomial departs within the segment from the exact
             solution through its first point, in the state's unit.
     scales  state -> what is small for it: the standard deviation of the noise of its measurement; one hundredth of
@@ -187,6 +188,7 @@ class IntegrationError:
     edges: _Array
     errors: Mapping[str, _Array]
     scales: Mapping[str, float]
+    time_unit: TimeUnit = SECONDS
 
     @property
     def relative(self) -> dict[str, _Array]:
@@ -210,7 +212,7 @@ class IntegrationError:
         axes.set_ylim(max(1e-8 * largest, 1e-14), 3.0 * max(largest, tolerance or 0.0))
         if tolerance is not None:
             axes.axhline(tolerance, color=LIMIT, linestyle="--", linewidth=0.8, label="tolerance")
-        axes.set_xlabel("time, s")
+        axes.set_xlabel(plain(self.time_unit.axis()))
         axes.set_ylabel("error of a segment / noise")
         axes.legend(fontsize="small", frameon=False, ncols=3)
 
@@ -249,7 +251,8 @@ def integration_error(fit: FitResult) -> tuple[IntegrationError, ...]:
             [np.ascontiguousarray(record.mesh_states[name]) for name in model.state_names],
         )
         by_state = dict(zip(model.state_names, errors, strict=True))
-        found.append(IntegrationError(record.name, edges, by_state, dict(zip(model.state_names, scales, strict=True))))
+        small = dict(zip(model.state_names, scales, strict=True))
+        found.append(IntegrationError(record.name, edges, by_state, small, model.time_unit))
     return tuple(found)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import DataError, MissingDependency
+from .time_unit import time_unit_of
 
 if TYPE_CHECKING:
     import pandas
@@ -96,7 +97,7 @@ def record_dataset(record: Any, apart: Collection[str] = ()) -> xarray.Dataset:
     """Return the time histories of a `Record`, with inputs ``apart`` always over their own axis. See
     `Record.to_xarray`."""
     xr = package("xarray", "to_xarray")
-    data: xarray.Dataset = xr.Dataset(coords={"time": ("time", record.t, {"units": "s"})})
+    data: xarray.Dataset = xr.Dataset(coords={"time": ("time", record.t, {"units": str(time_unit_of(record.units))})})
     for group, prefix in _GROUPS.items():
         for name, values in getattr(record, group).items():
             own = record.input_samples.get(name) if group == "inputs" else None
@@ -118,7 +119,7 @@ def experiment_frame(e: Any) -> pandas.DataFrame:
 def experiment_dataset(e: Any) -> xarray.Dataset:
     """Return an `Experiment` as a dataset. See `Experiment.to_xarray`."""
     xr = package("xarray", "to_xarray")
-    data: xarray.Dataset = xr.Dataset(coords={"time": ("time", e.t, {"units": "s"})})
+    data: xarray.Dataset = xr.Dataset(coords={"time": ("time", e.t, {"units": str(e.time_unit)})})
     samples = _own_samples(e)
     for name, role, values in _channels(e):
         attributes = {"units": e.units.get(name, ""), "role": role}
@@ -212,6 +213,6 @@ def _with_variable(data: Any, name: str, channel: str, values: _Array, own: Any,
         data[name] = ("time", np.array(values), dict(attributes))
         return data
     axis = f"time_{channel}"
-    data = data.assign_coords({axis: (axis, own[0], {"units": "s"})})
+    data = data.assign_coords({axis: (axis, own[0], dict(data["time"].attrs))})
     data[name] = (axis, np.array(own[1]), dict(attributes))
     return data

@@ -148,8 +148,8 @@ def division(what: str, segments: Any, experiments: Sequence[Experiment]) -> lis
         first, last = experiment.t[[0, -1]]
         if not np.allclose([edges[0], edges[-1]], [first, last], rtol=0, atol=1e-9 * (last - first)):
             raise OptionError(
-                f"{what}: the segments run from {edges[0]:g} to {edges[-1]:g} s, but experiment "
-                f"'{experiment.name}' from {first:g} to {last:g} s: they must start and end alike"
+                f"{what}: the segments run from {edges[0]:g} to {edges[-1]:g}, but experiment "
+                f"'{experiment.name}' from {first:g} to {last:g}: they must start and end alike"
             )
     return [("edges", 0, list(edges)) for edges in lists]
 
@@ -182,9 +182,7 @@ def _checked_ends(what: str, ends: Any, wrong: OptionError) -> tuple[float, ...]
         raise wrong
     if not np.all(np.diff(array) > 0):
         i = int(np.flatnonzero(np.diff(array) <= 0)[0]) + 1
-        raise OptionError(
-            f"{what}: segment ends increase, but number {i} ({array[i]:g} s) does not come after the last"
-        )
+        raise OptionError(f"{what}: segment ends increase, but number {i} ({array[i]:g}) does not come after the last")
     return tuple(array.tolist())
 
 
@@ -238,7 +236,7 @@ class _Shooting:
         if self.steps is not None:
             return f"{self.steps} steps of {self.integrator} in a segment"
         if self.step is not None:
-            return f"steps of {self.integrator} of {self.step:g} s at most"
+            return f"steps of {self.integrator} of {self.step:g} at most"
         if self.substeps == 1:
             return f"one step of {self.integrator} between samples"
         return f"{self.substeps} steps of {self.integrator} between samples"

@@ -14,7 +14,18 @@ from typing import Any
 
 from .errors import DataError, OptionError
 
-__all__ = ["CHECKSUM", "PAGES", "check_folder", "check_suffix", "checksum", "drawn", "sealed", "unsealed", "write"]
+__all__ = [
+    "CHECKSUM",
+    "PAGES",
+    "check_folder",
+    "check_suffix",
+    "checksum",
+    "drawn",
+    "read_text",
+    "sealed",
+    "unsealed",
+    "write",
+]
 
 PAGES = (".html", ".htm")
 """Suffixes of a page."""
@@ -113,3 +124,11 @@ def unsealed(document: Mapping[str, Any], source: str) -> dict[str, Any]:
             f"it again, or take out the entry '{CHECKSUM}' to have it read as it is"
         )
     return content
+
+
+def read_text(path: str | PathLike[str]) -> str:
+    """Return the text of a file in UTF-8; raise DataError where it cannot be read."""
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or 'it is no text'})") from error

@@ -23,6 +23,7 @@ from ..records import Record
 from ..result import Fit
 from ..saving.files import SUFFIXES
 from ..simulation import simulate as integrate
+from ..time_unit import time_unit_of
 from ..validation import Validation
 from ..writing import write
 from .model_file import load_source
@@ -72,7 +73,7 @@ def fit(
     check_saved(save, "fit")
     check_targets([plot], [save], report)
     source = load_source(model)
-    records = reading.read(data)
+    records = reading.read(data, source)
     # The estimation continues from a saved fit.
     result = how.run(source.model, records, source) if isinstance(source, Fit) else how.run(source, records)
     files: list[str | Path] = [model if Path(model).is_file() else model.rpartition(":")[0], *data]
@@ -147,7 +148,7 @@ def validate(
             raise OptionError(
                 f"{model} is a model: give a data file to fit it to, and others to validate it on; or a saved fit"
             )
-        fit = how.run(source, reading.read(data[:1]))
+        fit = how.run(source, reading.read(data[:1], source))
         others = list(data[1:])
     if not fit.converged:
         if json:
@@ -155,7 +156,7 @@ def validate(
         else:
             print(f"{fit.summary()}\n\nThere is nothing to validate: the fit has not converged.")
         return code_of(fit)
-    records = reading.read(others)
+    records = reading.read(others, fit)
     result = fit.validate(records, tolerances=limits or None, progress=True)
     page = partial(write_report, fit, files=[model.rpartition(":")[0] or model, *data], validation=result)
     writers: list[Callable[[], list[Path]]] = [partial(save_figures, result, plot), saved(page, report)]
@@ -205,7 +206,7 @@ def diagnose(
     check_saved(save, "diagnosis")
     check_targets((), [save], report)
     base = _base(model, reading, data or [], fit, how)
-    others = reading.read(validation) if validation else None
+    others = reading.read(validation, base) if validation else None
     if base.status not in ENDED_WELL:
         if json:
             emit_json("diagnose", {"fit": fit_facts(base), "findings": None})
@@ -229,7 +230,7 @@ def _base(model: str, reading: Reading, data: list[Path], saved: Path | None, ho
             return source
         raise OptionError(f"{model} is a model: give data files to fit it to")
     described = source.model if isinstance(source, Fit) else source
-    return how.run(described, reading.read(data), before)
+    return how.run(described, reading.read(data, described), before)
 
 
 def _code(found: Diagnosis[Fit]) -> int:
@@ -293,7 +294,7 @@ def simulate(
     check_targets((), [out])
     source = load_source(model)
     described = source.model if isinstance(source, Fit) else source
-    (experiment,) = reading.read([data])
+    (experiment,) = reading.read([data], described)
     fit, values = _parameters(described, source if isinstance(source, Fit) else None, parameters)
     first = _first(described, fit, experiment.name, numbers("--initial", initial))
     record = integrate(described, values, experiment, initial=first)
@@ -364,7 +365,7 @@ def _columns(record: Record) -> dict[str, list[float]]:
 def _write(record: Record, file: TextIO) -> None:
     """Write a CSV, with units in its header, that `read` reads back to the last bit."""
     columns = _columns(record)
-    units = {"t": "s", **record.units}
+    units = {"t": time_unit_of(record.units), **record.units}
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow([f"{name} [{units[name]}]" if units.get(name) else name for name in columns])
     writer.writerows(zip(*(map(repr, values) for values in columns.values()), strict=True))

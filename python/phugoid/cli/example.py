@@ -87,7 +87,7 @@ def _commands(file: Path, data: Path, other: Path) -> list[str]:
 def _write(chosen: Example, model: Model, which: int, path: Path) -> None:
     t, inputs, measured = chosen.record(model, which)
     columns = {"t": t, **inputs, **measured}
-    units = {"t": "s", **model.units}
+    units = {"t": model.time_unit, **model.units}
     table = StringIO(newline="")
     writer = csv.writer(table, lineterminator="\n")
     # Of a number in brackets no reader knows that it is a unit.

@@ -117,7 +117,7 @@ def names(text: str | None) -> list[str] | None:
 
 
 def span(text: str | None) -> tuple[float, float] | None:
-    """Parse ``T0,T1`` in s.
+    """Parse ``T0,T1``.
 
     >>> span("2,10.5")
     (2.0, 10.5)
@@ -142,7 +142,7 @@ def _number(option: str, text: str, number: str) -> float:
 
 # Options of `read` as its errors call them, and as the command does.
 _CALLED = {
-    "rate=... in Hz": "--rate HZ",
+    "rate=...": "--rate RATE",
     "time='...'": "--time NAME",
     "inputs=[...]": "--inputs A,B",
     "outputs=[...]": "--outputs A,B",
@@ -157,9 +157,9 @@ _CALLED = {
 class Reading:
     """Hold the options of `read` for data files, as texts. Raises OptionError for invalid ones."""
 
-    time: Annotated[str | None, Option("--time", help="Time column, in s; default: t, or time.", metavar="NAME")] = None
+    time: Annotated[str | None, Option("--time", help="Time column; default: t, or time.", metavar="NAME")] = None
     rate: Annotated[
-        float | None, Option("--rate", help="Sampling rate in Hz of a file without a time column.", metavar="HZ")
+        float | None, Option("--rate", help="Sampling rate of a file without a time column.", metavar="RATE")
     ] = None
     rename: Annotated[
         list[str] | None, Option("--rename", help="Rename column OLD to NEW, its name in the model.", metavar="OLD=NEW")
@@ -170,9 +170,9 @@ class Reading:
     outputs: Annotated[
         str | None, Option("--outputs", help="Output columns; default: the outputs of the model.", metavar="A,B")
     ] = None
-    window: Annotated[
-        str | None, Option("--window", help="Use the samples from T0 to T1 only, in s.", metavar="T0,T1")
-    ] = None
+    window: Annotated[str | None, Option("--window", help="Use the samples from T0 to T1 only.", metavar="T0,T1")] = (
+        None
+    )
     units: Annotated[
         list[str] | None,
         Option("--units", help="Unit of a column, instead of that in the file.", metavar="NAME=UNIT"),
@@ -202,17 +202,19 @@ class Reading:
             "columns": names(self.columns),
         }
 
-    def read(self, files: Sequence[Path]) -> list[Experiment]:
-        """Read one record a file; each is named after its file, with the folder where file names are equal."""
+    def read(self, files: Sequence[Path], of: Model | Fit) -> list[Experiment]:
+        """Read one record a file, with times in the unit of a model or of a fit; each is named after its file, with the
+        folder where file names are equal."""
         twice = [f for i, f in enumerate(files) if f.resolve() in [g.resolve() for g in files[:i]]]
         if twice:
             raise OptionError(f"{twice[0]} is given twice")
+        time_unit = (of.model if isinstance(of, Fit) else of).time_unit
         stems = [f.stem for f in files]
-        return [self._record(f, str(f) if stems.count(f.stem) > 1 else None) for f in files]
+        return [self._record(f, str(f) if stems.count(f.stem) > 1 else None, time_unit) for f in files]
 
-    def _record(self, file: Path, name: str | None) -> Experiment:
+    def _record(self, file: Path, name: str | None, time_unit: str) -> Experiment:
         try:
-            record: Experiment = read(file, name=name, **self._given())
+            record: Experiment = read(file, name=name, time_unit=time_unit, **self._given())
             return record
         except DataError as error:
             text = str(error)

@@ -54,8 +54,8 @@ def times(experiment: str, t: ArrayLike) -> FloatArray:
     if bad.size:
         i = int(bad[0]) + 1
         raise DataError(
-            f"{where}: sample {i} ({float(time[i])!r} s) does not come after sample {i - 1} "
-            f"({float(time[i - 1])!r} s); time must increase strictly: "
+            f"{where}: sample {i} ({float(time[i])!r}) does not come after sample {i - 1} "
+            f"({float(time[i - 1])!r}); time must increase strictly: "
             "sort the record or drop repeated samples"
         )
     return time
@@ -120,7 +120,7 @@ def check_moves(where: str, values: FloatArray) -> None:
 
 
 def _sample(i: int | np.intp, t: FloatArray | None) -> str:
-    return f"sample {i}" if t is None or i >= t.size else f"sample {i} (t = {t[i]:.6g} s)"
+    return f"sample {i}" if t is None or i >= t.size else f"sample {i} (t = {t[i]:.6g})"
 
 
 def units(name: str, given: Mapping[str, str] | None, channels: Iterable[str]) -> dict[str, str]:
@@ -128,7 +128,7 @@ def units(name: str, given: Mapping[str, str] | None, channels: Iterable[str]) -
     of one of the ``channels``."""
     if not isinstance(given, (Mapping, type(None))) or not all(isinstance(u, str) for u in (given or {}).values()):
         raise DataError(f"experiment '{name}': units are texts by name, such as {{'q': 'rad/s'}}, not {given!r}")
-    known = dict.fromkeys(channels)
+    known = dict.fromkeys([*channels, "time"])
     for channel in given or {}:
         if channel not in known:
             near = listing(str(channel), known)
@@ -153,8 +153,8 @@ def real(values: ArrayLike, where: str, t: FloatArray | None = None) -> FloatArr
             "c": "holds complex numbers: give real ones",
             "U": "holds text: convert it to numbers",
             "S": "holds text: convert it to numbers",
-            "M": "holds dates: give seconds, such as (t - t[0]) / np.timedelta64(1, 's')",
-            "m": "holds time differences: give seconds, such as t / np.timedelta64(1, 's')",
+            "M": "holds dates: give numbers, such as (t - t[0]) / np.timedelta64(1, 's')",
+            "m": "holds time differences: give numbers, such as t / np.timedelta64(1, 's')",
         }
         raise DataError(f"{where}: {advice.get(raw.dtype.kind, f'has type {raw.dtype}: give numbers')}")
     result = np.array(raw, dtype=np.float64)
@@ -194,9 +194,9 @@ def merged_spans(caller: str, spans: Sequence[Any]) -> list[tuple[float, float]]
         try:
             begin, end = map(float, getattr(span, "span", span))
         except (TypeError, ValueError):
-            raise DataError(f"{caller}: spans are pairs of times, (t0, t1) in s, not {span!r}") from None
+            raise DataError(f"{caller}: spans are pairs of times, (t0, t1), not {span!r}") from None
         if not begin < end:
-            raise DataError(f"{caller}: the span {begin:g} to {end:g} s ends before it begins")
+            raise DataError(f"{caller}: the span {begin:g} to {end:g} ends before it begins")
         pairs.append((begin, end))
     merged: list[tuple[float, float]] = []
     for begin, end in sorted(pairs):

@@ -32,7 +32,7 @@ __all__ = ["Experiment", "FloatArray", "Interpolation", "Signal", "as_experiment
 class Experiment(Preprocessing):
     """One record of measured inputs and outputs over N samples; immutable.
 
-    t              (N,) time in s, strictly increasing, at least 2 samples; the spacing may vary.
+    t              (N,) time in the model's unit, strictly increasing, at least 2 samples; the spacing may vary.
     inputs         name -> (N,), finite.
     outputs        name -> (N,); NaN marks a missing sample.
     name           name of the record in messages and plots.
@@ -43,7 +43,7 @@ class Experiment(Preprocessing):
                    that is held from that sample on.
     channels       name -> (N,): columns not yet assigned. A model takes inputs and outputs from here that are not in
                    ``inputs`` and ``outputs``; extra channels do no harm.
-    units          name -> unit of the channels given here, for labels; nothing is converted.
+    units          name -> unit of the channels given here, and of ``time``, for labels; nothing is converted.
 
     Filters, detrending and changes of the sampling rate are methods, each of which gives a new record whose ``history``
     says what was done.
@@ -53,7 +53,7 @@ class Experiment(Preprocessing):
 
     >>> run = Experiment([0.0, 0.1, 0.2], inputs={"de": [0, 1, 1]}, outputs={"q": [0.0, float("nan"), 0.2]})
     >>> run
-    Experiment('experiment', 3 samples, 0 to 0.2 s, inputs: de, outputs: q (1 missing))
+    Experiment('experiment', 3 samples, 0 to 0.2, inputs: de, outputs: q (1 missing))
     >>> run.window(0.1, 0.2).t
     array([0.1, 0.2])
     """
@@ -117,7 +117,7 @@ class Experiment(Preprocessing):
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Units of the channels where known (from the file's header, or as given)."""
+        """Units of the channels, and of ``time``, where known (from the file's header, or as given)."""
         return ReadOnly("unit of channel", self._units)
 
     def signal(self, name: str) -> Signal | None:
@@ -165,7 +165,7 @@ class Experiment(Preprocessing):
         return self.n
 
     def __repr__(self) -> str:
-        parts = [f"{self.n} samples", f"{self._t[0]:g} to {self._t[-1]:g} s"]
+        parts = [f"{self.n} samples", self.time_unit.of(f"{self._t[0]:g} to {self._t[-1]:g}")]
         parts += [f"{kind}s: {' '.join(group)}" for kind, group in self._columns_of().items() if group]
         missing = sum(int(np.isnan(values).sum()) for values in self._outputs.values())
         return f"Experiment('{self._name}', {', '.join(parts)}{f' ({missing} missing)' if missing else ''})"
@@ -173,7 +173,7 @@ class Experiment(Preprocessing):
     def _repr_html_(self) -> str:
         groups = {"input": self._inputs, "output": self._outputs, "": self._channels}
         found = channels_table(groups, self._units, self._t)
-        note = f"{self.n} samples, {self._t[0]:g} to {self._t[-1]:g} s"
+        note = f"{self.n} samples, {self.time_unit.of(f'{self._t[0]:g} to {self._t[-1]:g}')}"
         return notebook_page(self._name, found, bullets(self._history), note=note)
 
     def input(self, name: str) -> FloatArray:
@@ -220,12 +220,12 @@ class Experiment(Preprocessing):
         kept = (self._t >= t0 - slack) & (self._t <= t1 + slack)
         if int(kept.sum()) < 2:
             raise DataError(
-                f"experiment '{self._name}': the window {t0:g} to {t1:g} s holds {int(kept.sum())} samples; "
-                f"the record runs from {self._t[0]:g} to {self._t[-1]:g} s"
+                f"experiment '{self._name}': the window {t0:g} to {t1:g} holds {int(kept.sum())} samples; "
+                f"the record runs from {self.time_unit.of(f'{self._t[0]:g} to {self._t[-1]:g}')}"
             )
         t = self._t[kept]
         columns = {kind: {n: z[kept] for n, z in group.items()} for kind, group in self._columns_of().items()}
-        step = f"window {t[0]:g} to {t[-1]:g} s" if t.size < self.n else ""
+        step = self.time_unit.of(f"window {t[0]:g} to {t[-1]:g}") if t.size < self.n else ""
         return self._made(step, columns, name, t=t)
 
     def cut(self, spans: Sequence[Any]) -> list[Experiment]:
@@ -275,7 +275,7 @@ class Experiment(Preprocessing):
         for a, b in parts:
             if a == b:
                 warnings.warn(
-                    f"experiment '{self._name}': the sample at t = {self._t[a]:g} s stands alone between gaps "
+                    f"experiment '{self._name}': the sample at t = {self._t[a]:g} stands alone between gaps "
                     "and is left out",
                     UserWarning,
                     stacklevel=2,

@@ -67,13 +67,13 @@ def even_rate(t: _Array, values: _Array, where: str, purpose: str) -> float:
     if uneven.size and uneven[0] < gap:
         i = int(uneven[0])
         raise DataError(
-            f"{where}: {purpose} needs evenly spaced samples, but the interval after t = {t[i]:.6g} s is "
-            f"{steps[i]:.6g} s and others are {step:.6g} s ({uneven.size} interval(s) differ): cut there with .window, "
+            f"{where}: {purpose} needs evenly spaced samples, but the interval after t = {t[i]:.6g} is "
+            f"{steps[i]:.6g} and others are {step:.6g} ({uneven.size} interval(s) differ): cut there with .window, "
             "or give evenly spaced times if only the time stamps are rough"
         )
     if missing.size:
         raise DataError(
-            f"{where}: {purpose} needs a complete channel, but sample {gap} (t = {t[gap]:.6g} s) is missing "
+            f"{where}: {purpose} needs a complete channel, but sample {gap} (t = {t[gap]:.6g}) is missing "
             f"({missing.size} of {t.size} are): fill the gaps, cut with .window, or leave the channel out"
         )
     return float((t.size - 1) / (t[-1] - t[0]))

@@ -49,14 +49,14 @@ def multirate(
         inside = (t >= first) & (t <= last)
         if not inside.any():
             raise DataError(
-                f"experiment '{name}', output '{key}': no sample lies between {first:g} and {last:g} s, "
+                f"experiment '{name}', output '{key}': no sample lies between {first:g} and {last:g}, "
                 "where all inputs are"
             )
         z[key] = t[inside], values[inside]
     t, columns = together(z)
     if t.size < 2:
         raise DataError(
-            f"experiment '{name}': {t.size} sample(s) between {first:g} and {last:g} s; at least 2 are needed"
+            f"experiment '{name}': {t.size} sample(s) between {first:g} and {last:g}; at least 2 are needed"
         )
     signals: dict[str, Signal] = {key: (*pair, 0.0, 0) for key, pair in u.items()}
     kinds = checked_kinds(name, interpolation, u)

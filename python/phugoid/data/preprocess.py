@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, OptionError, listing, positive, whole
+from ..time_unit import UNKNOWN, TimeUnit, time_unit_of
 from .filtering import (
     Columns,
     Interpolations,
@@ -58,6 +59,12 @@ class Preprocessing:
     _channels: dict[str, _Array]
     _interpolation: Interpolations
     _signals: dict[str, Signal]
+    _units: dict[str, str]
+
+    @property
+    def time_unit(self) -> TimeUnit:
+        """The unit of its times, empty where it is not known."""
+        return time_unit_of(self._units, UNKNOWN)
 
     def _columns_of(self) -> Columns:
         return {"input": self._inputs, "output": self._outputs, "channel": self._channels}
@@ -105,10 +112,11 @@ class Preprocessing:
         unknown channel, one with missing samples or uneven sampling (with the time of the first gap), and a record
         shorter than the filter takes to settle. (Filters in cascade as in the paper's ground vibration test.)
         """
-        low, high = positive("band_pass: low (Hz)", low), positive("band_pass: high (Hz)", high)
+        low, high = positive("band_pass: low", low), positive("band_pass: high", high)
         if low >= high:
-            raise OptionError(f"band_pass: low ({low:g} Hz) must lie below high ({high:g} Hz)")
-        what = f"band-pass {low:g} to {high:g} Hz, Butterworth of order {order} twice (high-pass, low-pass)"
+            raise OptionError(f"band_pass: low ({low:g}) must lie below high ({high:g})")
+        band = self.time_unit.per(f"{low:g} to {high:g}")
+        what = f"band-pass {band}, Butterworth of order {order} twice (high-pass, low-pass)"
         return through_butterworth(
             self, "band_pass", [("highpass", low), ("lowpass", high)], order, channels, zero_phase, what
         )
@@ -116,17 +124,17 @@ class Preprocessing:
     def low_pass(
         self: _Self, corner: float, order: int = 5, channels: Sequence[str] | None = None, zero_phase: bool = False
     ) -> _Self:
-        """Pass frequencies below ``corner`` (Hz, where 3 dB are lost): a Butterworth filter; else as `band_pass`."""
-        corner = positive("low_pass: the corner frequency (Hz)", corner)
-        what = f"low-pass {corner:g} Hz, Butterworth of order {order}"
+        """Pass frequencies below ``corner`` (where 3 dB are lost): a Butterworth filter; else as `band_pass`."""
+        corner = positive("low_pass: the corner frequency", corner)
+        what = f"low-pass {self.time_unit.per(f'{corner:g}')}, Butterworth of order {order}"
         return through_butterworth(self, "low_pass", [("lowpass", corner)], order, channels, zero_phase, what)
 
     def high_pass(
         self: _Self, corner: float, order: int = 5, channels: Sequence[str] | None = None, zero_phase: bool = False
     ) -> _Self:
-        """Pass frequencies above ``corner`` (Hz, where 3 dB are lost): a Butterworth filter; else as `band_pass`."""
-        corner = positive("high_pass: the corner frequency (Hz)", corner)
-        what = f"high-pass {corner:g} Hz, Butterworth of order {order}"
+        """Pass frequencies above ``corner`` (where 3 dB are lost): a Butterworth filter; else as `band_pass`."""
+        corner = positive("high_pass: the corner frequency", corner)
+        what = f"high-pass {self.time_unit.per(f'{corner:g}')}, Butterworth of order {order}"
         return through_butterworth(self, "high_pass", [("highpass", corner)], order, channels, zero_phase, what)
 
     def detrend(
@@ -186,7 +194,7 @@ class Preprocessing:
             )
         if filter:
             edge = 0.4 * rate / factor
-            what = f"anti-alias low-pass {edge:g} Hz, Chebyshev of order 8"
+            what = f"anti-alias low-pass {self.time_unit.per(f'{edge:g}')}, Chebyshev of order 8"
             return through(self, "decimate", partial(anti_alias, edge), None, False, what).decimate(factor, inputs)
         signals = dict(self._signals)
         columns: dict[str, dict[str, _Array]] = {}
@@ -198,16 +206,17 @@ class Preprocessing:
                 stays = kind != "output" and (channel in signals or self._is_held(channel))
                 share = 0.0 if stays else power_above(values, 1.0 / keeps)
                 if share > _RELEVANT:
-                    aliased.append(f"{100 * share:.2g} % of the power of {channel} above {0.5 * rate / keeps:g} Hz")
+                    above = self.time_unit.per(f"{0.5 * rate / keeps:g}")
+                    aliased.append(f"{100 * share:.2g} % of the power of {channel} above {above}")
         for channel, values in {**self._columns_of()["channel"], **self._columns_of()["input"]}.items():
             if self._is_held(channel):
                 if np.isfinite(values).all():  # or it is no input
                     signals.setdefault(channel, (t, values, 0.0, 0))
             elif fine is not None:
                 signals[channel] = t[::fine], values[::fine], 0.0, 0
-        step = f"decimated by {factor} to {rate / factor:g} Hz"
+        step = f"decimated by {factor} to {self.time_unit.per(f'{rate / factor:g}')}"
         if fine is not None:
-            step += f", inputs by {fine} to {rate / fine:g} Hz with cubic splines between"
+            step += f", inputs by {fine} to {self.time_unit.per(f'{rate / fine:g}')} with cubic splines between"
         if aliased:
             warnings.warn(
                 f"experiment '{name}': decimate({factor}) folds {', '.join(aliased)} into the band below; remove it "
@@ -233,11 +242,11 @@ class Preprocessing:
                     f"resample: the input '{channel}' of experiment '{name}' is held between its samples, and its "
                     "steps have no limit of frequency: take .low_pass and .decimate, which keep it exact"
                 )
-        rate = positive("resample: rate (Hz)", rate)
+        rate = positive("resample: rate", rate)
         old = even_rate(t, t, f"experiment '{name}'", "resample")
         if rate > old * (1.0 + 1e-9):
             raise OptionError(
-                f"resample: experiment '{name}' was sampled at {old:g} Hz, and {rate:g} Hz would make outputs that "
+                f"resample: experiment '{name}' was sampled at a rate of {old:g}, and {rate:g} would make outputs that "
                 "nobody measured; for finer inputs take .upsample_inputs(factor)"
             )
         if self._signals:
@@ -247,7 +256,9 @@ class Preprocessing:
             )
         ratio = Fraction(rate / old).limit_denominator(1000)
         if abs(float(ratio) * old / rate - 1.0) > 1e-6:
-            raise OptionError(f"resample: {rate:g} Hz is no simple fraction of {old:g} Hz (a denominator up to 1000)")
+            raise OptionError(
+                f"resample: {rate:g} is no simple fraction of the rate {old:g} (a denominator up to 1000)"
+            )
         up, down = ratio.numerator, ratio.denominator
         # The last sample at or before the end of the record.
         n = (t.size - 1) * up // down + 1
@@ -260,7 +271,9 @@ class Preprocessing:
                 columns[kind][channel] = polyphase(values, up, down, where)[:n]
         times = t[0] + np.arange(n) * (down / up) / old
         times[-1] = min(times[-1], t[-1])
-        return self._stepped(f"resampled from {old:g} to {rate:g} Hz, band-limited", columns, {}, times)
+        return self._stepped(
+            f"resampled from {self.time_unit.per(f'{old:g} to {rate:g}')}, band-limited", columns, {}, times
+        )
 
     def upsample_inputs(self: _Self, factor: int) -> _Self:
         """Resample the inputs to a ``factor`` times higher rate, band-limited, with cubic splines between; outputs are
@@ -353,8 +366,8 @@ def through_butterworth(
         highest = max(corner for _, corner in kinds)
         if highest >= 0.5 * rate * (1.0 - 1e-9):
             raise OptionError(
-                f"{method}: {highest:g} Hz is not below the Nyquist frequency {0.5 * rate:g} Hz of a record sampled "
-                f"at {rate:g} Hz"
+                f"{method}: {highest:g} is not below the Nyquist frequency {0.5 * rate:g} of a record sampled "
+                f"at {rate:g}"
             )
         return butterworth(kinds, order, rate)
 
@@ -371,7 +384,8 @@ def through(
 ) -> _Self:
     """Filter the channels; the filter is designed for the sampling rate of each."""
     rates: dict[str, float] = {}
-    times: list[float] = []  # s, in which the filter settles
+    times: list[float] = []  # in which the filter settles
+    in_unit = record.time_unit.of
 
     def step(where: str, t: _Array, values: _Array) -> _Array:
         rate = even_rate(t, values, where, method)
@@ -381,24 +395,27 @@ def through(
         beyond = 3 * (2 * len(sos) + 1) if zero_phase else 0
         if wait > length or values.size <= beyond:
             raise DataError(
-                f"{where}: the record is {length:.3g} s long ({values.size} samples), but this filter needs "
-                f"{max(wait, beyond / rate):.3g} s to settle: take a longer record, a wider band or a lower order, "
-                "or .detrend in place of a slow high-pass"
+                f"{where}: the record is {in_unit(f'{length:.3g}')} long ({values.size} samples), but this filter "
+                f"needs {in_unit(f'{max(wait, beyond / rate):.3g}')} to settle: take a longer record, a wider band or "
+                "a lower order, or .detrend in place of a slow high-pass"
             )
         rates[where] = rate
         times.append(wait)
         return filtered(sos, values, zero_phase)
 
     def said() -> str:
-        how = "zero phase (forward and backward)" if zero_phase else f"causal, settles in {max(times):.2g} s"
+        how = (
+            "zero phase (forward and backward)" if zero_phase else f"causal, settles in {in_unit(f'{max(times):.2g}')}"
+        )
         return f"{what}, {how}"
 
     done = mapped(record, method, channels, step, said)
     slowest, fastest = min(rates, key=rates.__getitem__), max(rates, key=rates.__getitem__)
     if rates[fastest] > 1.001 * rates[slowest]:
         warnings.warn(
-            f"{slowest} is sampled at {rates[slowest]:g} Hz and {fastest} at {rates[fastest]:g} Hz: digital filters of "
-            "two rates differ towards the lower Nyquist frequency, and so would the dynamics; filter before .decimate",
+            f"{slowest} is sampled at a rate of {rates[slowest]:g}, {fastest} at {rates[fastest]:g}: digital filters "
+            "of two rates differ towards the lower Nyquist frequency, and so would the dynamics: filter before "
+            ".decimate",
             UserWarning,
             stacklevel=4,
         )

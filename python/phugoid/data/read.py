@@ -11,6 +11,7 @@ from typing import Any, Literal, overload
 import numpy as np
 
 from ..errors import DataError, did_you_mean, some
+from ..time_unit import UNKNOWN, TimeUnit
 from .checked import FloatArray, checked_gaps, real
 from .experiment import Experiment
 from .filtering import Interpolations
@@ -75,9 +76,11 @@ class _Columns:
         rate: float | None,
         units: Units,
         convert: bool,
+        time_unit: str,
     ) -> None:
         self.where, self.name, self.rate = source.where, source.name, rate
         self.left_out, self._units, self._convert = source.left_out, units, convert
+        self._time_unit = time_unit
         self._steps: dict[str, str] = {}
         self._labels: dict[str, str] = {}
         self._read: dict[str, FloatArray] = {}
@@ -86,13 +89,13 @@ class _Columns:
         self._columns = dict(zip(names, source.columns, strict=True))
         by_file = {column.name: new for new, column in self._columns.items()}
         if rate is not None and not (isinstance(rate, Real) and 0 < rate < float("inf")):
-            raise DataError(f"{self.where}: rate is a positive number of samples a second, not {rate!r}")
+            raise DataError(f"{self.where}: rate is a positive number of samples per unit of time, not {rate!r}")
         self._clock = {n: by_file.get(c.times, time) if c.times else time for n, c in self._columns.items()}
         self.clocks = set() if rate is not None else set(self._clock.values())
         if rate is None and self.clocks == {time} and time not in self._columns:
             raise DataError(
                 f"{self.where}: has no time column '{time}'.{_listing(time, names)} Give time='...', or for even "
-                "sampling rate=... in Hz."
+                "sampling rate=..."
             )
         self.available = [n for n in names if n not in self.clocks]
 
@@ -112,11 +115,12 @@ class _Columns:
         return clock
 
     def times(self, clock: str) -> FloatArray:
-        """Return times in s, converted from the unit that the file or the user gives."""
+        """Return times, converted from the unit that the file or the user gives."""
         if clock not in self._read:
             where = f"{self.where}, time '{clock}'"
-            values = real(_seconds(self._columns[clock].values(clock)), where)
-            unit = self._labels[clock] = self._label(clock) or _unit_in_name(clock)
+            values, dates = _seconds(self._columns[clock].values(clock))
+            values = real(values, where)
+            unit = self._labels[clock] = "s" if dates else self._label(clock) or _unit_in_name(clock)
             if unit:
                 # Seconds "since" some date, as the CF conventions write it, are seconds; a step of time is all we need.
                 measure = unit.partition(" since ")[0]
@@ -124,8 +128,8 @@ class _Columns:
                     raise DataError(
                         f"{where}: '{unit}' is no unit of time that is known; give it, units={{'{clock}': 's'}}"
                     )
-                values = converted(values, measure, "s", where)
-                self._labels[clock] = "s"
+                values = converted(values, measure, self._time_unit or "s", where)
+                self._labels[clock] = self._time_unit or "s"
             self._read[clock] = values
         return self._read[clock]
 
@@ -160,8 +164,10 @@ class _Columns:
         return values
 
     def units(self) -> dict[str, str]:
-        """Return the units of the columns read, without those of times."""
-        return {n: unit for n, unit in self._labels.items() if unit and n not in self.clocks}
+        """Return the units of the columns read, and that of time where it is known."""
+        time = self._time_unit or next((self._labels[n] for n in self.clocks if self._labels.get(n)), "")
+        found = {n: unit for n, unit in self._labels.items() if unit and n not in self.clocks}
+        return {**found, "time": time} if time else found
 
     def history(self) -> list[str]:
         return [f"converted {', '.join(self._steps.values())}"] if self._steps else []
@@ -223,12 +229,13 @@ def _bare(header: str) -> str:
     return "".join(header.split())
 
 
-def _seconds(values: Any) -> Any:
-    """Return dates as seconds since the first and time differences as seconds; anything else unchanged."""
+def _seconds(values: Any) -> tuple[Any, bool]:
+    """Return dates as seconds since the first and time differences as seconds, anything else unchanged; and which."""
     array = np.asarray(values)
     if array.dtype.kind == "M" and array.size:
         array = array - array[0]
-    return array / np.timedelta64(1, "s") if array.dtype.kind == "m" else values
+    dates = array.dtype.kind == "m"
+    return (array / np.timedelta64(1, "s") if dates else values), dates
 
 
 def _listing(name: str, available: Any) -> str:
@@ -251,6 +258,7 @@ def read(
     rate: float | None = None,
     convert: bool = False,
     split_gaps: Literal[False] = False,
+    time_unit: str | None = None,
 ) -> Experiment: ...
 
 
@@ -271,6 +279,7 @@ def read(
     convert: bool = False,
     *,
     split_gaps: Literal[True] | float,
+    time_unit: str | None = None,
 ) -> list[Experiment]: ...
 
 
@@ -289,6 +298,7 @@ def read(
     rate: float | None = None,
     convert: bool = False,
     split_gaps: bool | float = False,
+    time_unit: str | None = None,
 ) -> Experiment | list[Experiment]:
     """Read a record from a file, whose ending gives the format, or from a table in memory.
 
@@ -297,7 +307,7 @@ def read(
                begin with) or of ArduPilot (``.bin``); or a table of pandas, polars or xarray. Variables in structures
                and groups are called ``group.name`` (or ``name`` alone where one group holds everything), those of logs
                ``topic.field`` (of a second instance ``topic[1].field``), columns of matrices ``name[0]``.
-    time       name of the time column, in s, with its unit as in the header or without; None: ``t``, or what the file
+    time       name of the time column, with its unit as in the header or without; None: ``t``, or what the file
                itself takes for time, or the one column that is called ``time``, ``Time``, ``t_us`` or the like;
                a unit with which the name ends is that of the column.
                In a log, the field with the stamps, such as ``timestamp_sample``, of each topic that has it.
@@ -312,16 +322,18 @@ def read(
     delimiter  of a text file; None: found out from the file.
     name       name of the experiment; None: the file's name without its ending.
     interpolation  how inputs behave between samples, as `Experiment` takes it.
-    window     ``(t0, t1)`` in s keeps a part.
-    rate       samples a second, for a file without a time column: time runs from 0, and ``time`` is not looked for.
-    split_gaps  True or a length in s: the parts between gaps in the sampling, as `Experiment.split` has them, are
+    window     ``(t0, t1)``, in the unit of the record, keeps a part.
+    rate       samples per unit of time, for a file without a time column: time runs from 0, and ``time`` is not used.
+    split_gaps  True or a length of time: the parts between gaps in the sampling, as `Experiment.split` has them, are
                returned as a list.
-    convert    True brings each column whose unit is known to SI. Times whose unit is given become seconds in any case.
+    convert    True brings each column whose unit is known to SI. Times whose unit is given become s, or
+               ``time_unit``, in any case.
+    time_unit  unit of the times of the record, as the model has it: ``"h"``. Times without a unit are in it already.
 
     Channels with time stamps of their own keep them, see `multirate`; ``inputs`` and ``outputs`` must then be given.
     In a text table, lines that begin with ``#`` or ``%`` are comments, lines with fewer cells before the header are
     passed over, and empty cells, ``NaN`` and ``NA`` are missing samples. Times may be dates with times of ISO 8601,
-    such as ``2024-05-31T12:00:00.25Z``: time runs in s from the first.
+    such as ``2024-05-31T12:00:00.25Z``: time runs from the first.
 
     Raises DataError with the line and the column for a cell that is no number, with the line for a row that
     has too many or too few cells, with the names there are for an unknown column, with the units for those
@@ -333,7 +345,8 @@ def read(
     if not isinstance(units, (Mapping, type(None))):
         raise DataError(f"units={units!r}: give units by name, such as units={{'alpha': ('deg', 'rad')}}")
     if time is not None and not isinstance(time, str):
-        raise DataError(f"time={time!r}: give the name of the time column, or rate=... in Hz where there is none")
+        raise DataError(f"time={time!r}: give the name of the time column, or rate=... where there is none")
+    unit = UNKNOWN if time_unit is None else TimeUnit.checked(time_unit, "read", DataError)
     renaming, labels = dict(rename or {}), dict(units or {})
     window = _span(window)
     if split_gaps is not False:
@@ -363,7 +376,7 @@ def read(
         labels = {own(n): unit for n, unit in labels.items()}
         if isinstance(interpolation, Mapping):
             interpolation = {own(n): kind for n, kind in interpolation.items()}
-    record = _Columns(source, renaming, time, rate, labels, convert)
+    record = _Columns(source, renaming, time, rate, labels, convert, unit)
     record.check(inputs, "inputs")
     record.check(outputs, "outputs")
     record.check([n for n in labels if n not in record.clocks], "units")
@@ -388,7 +401,7 @@ def _span(window: Any) -> tuple[float, float] | None:
         first, last = window
         return float(first) + 0.0, float(last) + 0.0
     except (TypeError, ValueError):
-        raise DataError(f"window={window!r}: give its begin and end in s, such as window=(2.0, 30.0)") from None
+        raise DataError(f"window={window!r}: give its begin and end, such as window=(2.0, 30.0)") from None
 
 
 def _one_rate(
@@ -451,8 +464,8 @@ def _many_rates(
         first, last = np.searchsorted(t, window[0], side="left"), np.searchsorted(t, window[1], side="right")
         if last - first < 1:
             raise DataError(
-                f"{record.where}: no sample of '{n}' lies in the window {window[0]:g} to {window[1]:g} s; "
-                f"it runs from {t[0]:g} to {t[-1]:g} s"
+                f"{record.where}: no sample of '{n}' lies in the window {window[0]:g} to {window[1]:g}; "
+                f"it runs from {t[0]:g} to {t[-1]:g}"
             )
         kept = slice(max(first - beyond, 0), last + beyond)
         return t[kept], values[kept]

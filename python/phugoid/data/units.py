@@ -25,7 +25,8 @@ _TABLE: dict[str, tuple[str, float]] = {
     **{unit: (unit, 1.0) for unit in ("s", "m", "kg", "rad", "N", "Pa", "K", "W", "J", "Hz", "V", "A", "T")},
     "": ("", 1.0),
     "%": ("", 0.01),
-    **{"min": ("s", 60.0), "h": ("s", 3600.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9)},
+    **{"min": ("s", 60.0), "h": ("s", 3600.0), "day": ("s", 86400.0)},
+    **{"ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9)},
     **{"deg": ("rad", _DEG), "mrad": ("rad", 1e-3), "rev": ("rad", 2.0 * math.pi)},
     **{"km": ("m", 1e3), "cm": ("m", 1e-2), "mm": ("m", 1e-3)},
     **{"ft": ("m", _FT), "in": ("m", _FT / 12.0), "nmi": ("m", 1852.0)},
@@ -41,6 +42,7 @@ _TABLE: dict[str, tuple[str, float]] = {
 }
 _ALSO = {
     **{"°": "deg", "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad", "sec": "s", "second": "s"},
+    **{"minute": "min", "minutes": "min", "hour": "h", "hours": "h", "d": "day", "days": "day"},
     **{"seconds": "s", "msec": "ms", "usec": "us", "hr": "h", "feet": "ft", "foot": "ft", "inch": "in", "meter": "m"},
     **{"meters": "m", "metre": "m", "metres": "m", "NM": "nmi", "kts": "kt", "knot": "kt", "knots": "kt"},
     **{"mbars": "mbar", "lbs": "lb", "slugs": "slug", "dps": "deg/s", "mps": "m/s", "fps": "ft/s", "kmh": "km/h"},
@@ -180,8 +182,13 @@ def check_units(model: Model, runs: Sequence[Experiment], caller: str) -> None:
     Estimates from such data would be wrong without any sign of it. Units that are not given or not known are not
     checked.
     """
-    declared = model.units
+    declared, unit = model.units, model.time_unit
     for run in runs:
+        if run.time_unit and differ(run.time_unit, unit):
+            raise DataError(
+                f"{caller}: the times of experiment '{run.name}' are in '{run.time_unit}', but the model has time in "
+                f"'{unit}'; read it with time_unit='{unit}', or declare Model(..., time_unit='{run.time_unit}')"
+            )
         for side, names in (("input", model.input_names), ("output", model.output_names)):
             for name in names:
                 kind = "condition" if side == "input" and model.is_condition(name) else side

@@ -118,6 +118,7 @@ def manoeuvres(
                     unit=run.units.get(name, ""),
                     snr={n: _ratio(run.t, run.output(n), span, noise[n]) for n in observed},
                     together=_together(name, span, excited),
+                    time_unit=run.time_unit,
                 )
             )
     return Manoeuvres(run, sorted(found, key=lambda m: (m.start, names.index(m.input))))

@@ -13,6 +13,7 @@ from ..figures import INPUT, SERIES, WIDTH, Panels, labelled, plain, styled
 from ..notebook import notebook_page, table
 from ..parameters import text_table
 from ..tabular import package
+from ..time_unit import UNKNOWN, TimeUnit
 
 if TYPE_CHECKING:
     import pandas
@@ -53,6 +54,7 @@ class Manoeuvre:
     unit: str = ""
     snr: Mapping[str, float] = field(default_factory=dict)
     together: Mapping[str, float] = field(default_factory=dict)
+    time_unit: TimeUnit = UNKNOWN
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "snr", ByName("output", self.snr))
@@ -63,7 +65,8 @@ class Manoeuvre:
         return self.start, self.end
 
     def __str__(self) -> str:
-        return f"{self.kind} of {self.input}, {self.start:.1f} to {self.end:.1f} s"
+        span = self.time_unit.of(f"{self.start:.1f} to {self.end:.1f}")
+        return f"{self.kind} of {self.input}, {span}"
 
 
 class Manoeuvres(Sequence[Manoeuvre]):
@@ -99,20 +102,22 @@ class Manoeuvres(Sequence[Manoeuvre]):
         return Manoeuvres(self._record, chosen)
 
     def cut(self, before: float = 1.0, after: float = 3.0) -> list[Experiment]:
-        """Return the records of the manoeuvres, each from ``before`` s before its start to ``after`` s after its end.
+        """Return the records of the manoeuvres, each from ``before`` before its start to ``after`` after its end.
 
         Spans that overlap are one record, so that no sample is in two. They are called ``name[1]``, ``name[2]``, ...
         Raises OptionError for lengths that are no numbers from 0, DataError where there are no manoeuvres.
         """
         for what, value in (("before", before), ("after", after)):
             if not (isinstance(value, (int, float)) and 0 <= value < math.inf):
-                raise OptionError(f"cut: {what} is a number of s from 0, not {value!r}")
+                raise OptionError(f"cut: {what} is a number from 0, not {value!r}")
         if not self._found:
             raise DataError(f"cut: no manoeuvres were found in '{self._record.name}'")
         return self._record.cut([(m.start - before, m.end + after) for m in self])
 
     def _rows(self) -> tuple[list[str], list[list[str]], str]:
-        heads = ["", "input", "kind", "start, s", "end, s", "amplitude", "unit", "band, Hz", "signal/noise", "together"]
+        time = self._record.time_unit
+        heads = ["", "input", "kind", time.axis("start"), time.axis("end"), "amplitude", "unit"]
+        heads += [f"band, {time.frequency}" if time else "band", "signal/noise", "together"]
         rows = []
         for i, m in enumerate(self):
             ratios = "  ".join(f"{n} {v:.3g}" for n, v in m.snr.items() if math.isfinite(v))
@@ -163,7 +168,7 @@ class Manoeuvres(Sequence[Manoeuvre]):
                         wide = m.end - m.start > 0.06 * (self._record.t[-1] - self._record.t[0])
                         text = f"{i} {m.kind}" if wide else str(i)
                         axis.text(m.start, 1.0, text, transform=axis.get_xaxis_transform(), fontsize=6, va="bottom")
-            grid[-1, 0].set_xlabel("time, s")
+            grid[-1, 0].set_xlabel(plain(self._record.time_unit.axis()))
         return figure, Panels(axes)
 
     def _repr_html_(self) -> str:

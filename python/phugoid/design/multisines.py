@@ -83,10 +83,10 @@ def step_width(mode: Mode | float, kind: _Kind = "3-2-1-1") -> float:
         raise OptionError(f"step_width: kind is one of {', '.join(get_args(_Kind))}, not {kind!r}.{hint}")
     if isinstance(mode, Mode):
         if not mode.oscillates:
-            raise OptionError("step_width: this mode does not oscillate: give the frequency that is to be excited, Hz")
+            raise OptionError("step_width: this mode does not oscillate: give the frequency that is to be excited")
         frequency = number("step_width", "the mode's frequency", mode.frequency.value, positive=True)
     else:
-        frequency = number("step_width", "mode (a Mode, or its frequency in Hz)", mode, positive=True)
+        frequency = number("step_width", "mode (a Mode, or its frequency)", mode, positive=True)
     return {"doublet": 0.3710, "3-2-1-1": 0.25, "pulse": 0.5}[kind] / frequency
 
 
@@ -199,7 +199,7 @@ def _made(
     highest = max(map(max, assigned.values())) / length
     if highest > 0.5 / np.diff(times).max():
         raise OptionError(
-            f"{caller}: {highest:g} Hz is above half the sampling rate ({0.5 / np.diff(times).max():g} Hz); "
+            f"{caller}: {highest:g} is above half the sampling rate ({0.5 / np.diff(times).max():g}); "
             "take 5 samples a period at least"
         )
     rng = np.random.default_rng(seed)
@@ -224,14 +224,14 @@ def _assigned_harmonics(
 ) -> dict[str, NDArray[np.int64]]:
     """Return the harmonics of each input."""
     if (band is None) == (harmonics is None):
-        raise OptionError(f"{caller}: give the band in Hz, or the harmonics: one of the two")
+        raise OptionError(f"{caller}: give the band, or the harmonics: one of the two")
     if band is not None:
         low, high = pair(caller, "band", band)
         slack = 1e-9
         all_k = np.arange(int(np.ceil(low * period - slack)), int(np.floor(high * period + slack)) + 1)
         if all_k.size < len(names):
             raise OptionError(
-                f"{caller}: the band {low:g} to {high:g} Hz holds {all_k.size} harmonics of 1/{period:g} s for "
+                f"{caller}: the band {low:g} to {high:g} holds {all_k.size} harmonics of 1/{period:g} for "
                 f"{len(names)} input(s): give a longer period, or a broader band"
             )
         return {n: all_k[i :: len(names)] for i, n in enumerate(names)}
@@ -262,7 +262,7 @@ def _powers(caller: str, power: Power | None, k: NDArray[np.int64], period: floa
     elif single and len(power) == k.size:
         p = np.array([float(v) for v in power])
     else:
-        raise OptionError(f"{caller}: power is a function of the frequency in Hz, or one number for each harmonic")
+        raise OptionError(f"{caller}: power is a function of the frequency, or one number for each harmonic")
     if not np.isfinite(p).all() or (p < 0.0).any() or not p.sum() > 0.0:
         raise OptionError(f"{caller}: power is not negative, and not 0 throughout")
     return np.asarray(p / p.sum())

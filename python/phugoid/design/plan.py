@@ -15,6 +15,7 @@ from ..figures import LIMIT, SERIES, WIDTH, Panels, labelled, plain, styled
 from ..notebook import Rows, overview, sparkline
 from ..parameters import Estimates, correlation_matrix, text_table
 from ..records import Record
+from ..time_unit import SECONDS, TimeUnit, time_unit_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -151,7 +152,7 @@ class Excursion:
     """The range of a channel in a planned manoeuvre, and its limits.
 
     least, greatest  over the record, in ``unit``.
-    limit            (lower, upper) that was given, or None; ``when``: the first time beyond it, s, or None.
+    limit            (lower, upper) that was given, or None; ``when``: the first time beyond it, or None.
     """
 
     least: float
@@ -159,6 +160,7 @@ class Excursion:
     unit: str = ""
     limit: tuple[float, float] | None = None
     when: float | None = None
+    time_unit: TimeUnit = SECONDS
 
     @property
     def within(self) -> bool:
@@ -194,7 +196,8 @@ def excursions_of(record: Record, limits: Limits) -> dict[str, Excursion]:
         slack = 1e-9 * max((abs(b) for b in limit or () if np.isfinite(b)), default=0.0)
         beyond = np.zeros(v.size, dtype=bool) if limit is None else (v < limit[0] - slack) | (v > limit[1] + slack)
         when = float(record.t[np.argmax(beyond)]) if beyond.any() else None
-        found[n] = Excursion(float(v.min()), float(v.max()), record.units.get(n, ""), limit, when)
+        unit, time = record.units.get(n, ""), time_unit_of(record.units)
+        found[n] = Excursion(float(v.min()), float(v.max()), unit, limit, when, time)
     return found
 
 
@@ -251,7 +254,7 @@ class Plan:
         """The violations of limits, in words."""
         return tuple(
             f"{channel} of '{run}' leaves {e.limit[0]:g} to {e.limit[1]:g} {e.unit}".rstrip()
-            + f" at {e.when:.3g} s: it goes from {e.least:.4g} to {e.greatest:.4g}"
+            + f" at {e.when:.3g} {e.time_unit}: it goes from {e.least:.4g} to {e.greatest:.4g}"
             for run, channels in self.excursions.items()
             for channel, e in channels.items()
             if e.limit is not None and e.when is not None
@@ -283,7 +286,7 @@ class Plan:
         )
 
     def _length(self) -> str:
-        return ", ".join(f"{r.t[-1] - r.t[0]:g} s, {r.t.size} samples" for r in self.records)
+        return ", ".join(f"{r.t[-1] - r.t[0]:g} {time_unit_of(r.units)}, {r.t.size} samples" for r in self.records)
 
     def _error_rows(self) -> Rows:
         rows = []
@@ -319,7 +322,7 @@ class Plan:
 def _limit(e: Excursion) -> str:
     if e.limit is None:
         return ""
-    return f"{e.limit[0]:g} to {e.limit[1]:g}" + ("" if e.within else f", left at {e.when:.3g} s")
+    return f"{e.limit[0]:g} to {e.limit[1]:g}" + ("" if e.within else f", left at {e.when:.3g} {e.time_unit}")
 
 
 class Plans(Mapping[str, Plan]):
@@ -439,7 +442,7 @@ def _plot(plans: Sequence[Plan]) -> tuple[Figure, dict[str, Axes]]:
             _limits(a, excursions[n].limit)
             a.set_ylabel(plain(labelled(n, {n: excursions[n].unit})))
             a.margins(x=0.01)
-        rows[-1].set_xlabel("time, s")
+        rows[-1].set_xlabel(plain(time_unit_of(first.units).axis()))
         left.align_ylabels(list(rows))
         axes["errors"] = _errors(right.subplots(), plans)
     return figure, Panels(axes)

@@ -65,9 +65,9 @@ def placed(caller: str, t: _Array, start: float | None, end: float | None) -> No
     """Raise OptionError unless a manoeuvre lies within the grid."""
     slack = 1e-9 * (t[-1] - t[0])
     if start is not None and not t[0] - slack <= start < t[-1]:
-        raise OptionError(f"{caller}: start is {start:g} s, but the times run from {t[0]:g} to {t[-1]:g} s")
+        raise OptionError(f"{caller}: start is {start:g}, but the times run from {t[0]:g} to {t[-1]:g}")
     if end is not None and end > t[-1] + slack:
-        raise OptionError(f"{caller}: it ends at {end:g} s, but the times only run to {t[-1]:g} s: give more of them")
+        raise OptionError(f"{caller}: it ends at {end:g}, but the times only run to {t[-1]:g}: give more of them")
 
 
 def rate_limited(t: ArrayLike, u: ArrayLike, rate: float) -> _Array:
@@ -204,8 +204,8 @@ def _steps(
     placed(caller, times, begin, float(ends[-1]))
     if unit * min(parts) < np.diff(times).max() * (1.0 - 1e-6):
         raise OptionError(
-            f"{caller}: the shortest step lasts {unit * min(parts):g} s, but the samples are up to "
-            f"{np.diff(times).max():g} s apart: give longer steps, or more samples"
+            f"{caller}: the shortest step lasts {unit * min(parts):g}, but the samples are up to "
+            f"{np.diff(times).max():g} apart: give longer steps, or more samples"
         )
     # Times such as 0.1*k carry rounding: a step begins at the sample that it means.
     which = np.searchsorted(ends, times + _slack(times), side="right")
@@ -261,7 +261,7 @@ def sweep(
     placed("sweep", times, begin, begin + length)
     if high > 0.5 / np.diff(times).max():
         raise OptionError(
-            f"sweep: {high:g} Hz is above half the sampling rate ({0.5 / np.diff(times).max():g} Hz); "
+            f"sweep: {high:g} is above half the sampling rate ({0.5 / np.diff(times).max():g}); "
             "take 5 samples a period at least"
         )
     since = np.clip(times - begin, 0.0, length)
@@ -273,7 +273,7 @@ def sweep(
     u = size * np.sin(2.0 * np.pi * phase)
     ramp = number("sweep", "fade", fade)
     if ramp < 0.0 or 2.0 * ramp > length:
-        raise OptionError(f"sweep: fade is from 0 to half the duration of {length:g} s, not {fade:g}")
+        raise OptionError(f"sweep: fade is from 0 to half the duration of {length:g}, not {fade:g}")
     if ramp > 0.0:
         u *= np.clip(np.minimum(since, length - since) / ramp, 0.0, 1.0)
     u[(times < begin) | (times > begin + length)] = 0.0

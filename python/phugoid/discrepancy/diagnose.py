@@ -195,7 +195,7 @@ class _Records:
     @property
     def findings(self) -> list[Finding]:
         """Return what is reported of these."""
-        faults = [finding_of_sensor_fault(f) for f in self.faults]
+        faults = [finding_of_sensor_fault(f, self.fit.model.time_unit) for f in self.faults]
         return faults + ([finding_of_unsigned_sensor(self.unsigned)] if self.unsigned is not None else [])
 
 
@@ -253,10 +253,10 @@ def _reported(records: _Records, state: Inquiry, deadline: Deadline) -> _Reporte
         # Of long records the parts were searched.
         parts = records.parts
         every = parts.estimated(kept) if parts is not None and not state.interrupted else None
-        margin, units = RemainderSettings().margin, records.fit.model.units
+        margin = RemainderSettings().margin
         inputs = [b for b in state.inputs if b.kind != "cubic"]
         before = records.findings
-        before += [finding_of_recorded_input(b, margin, units.get(b.name, "")) for b in inputs]
+        before += [finding_of_recorded_input(b, margin, records.fit.model) for b in inputs]
         before += [finding_of_record_change(c) for c in state.changes]
         terms = [finding_of(result, f, _is_minor(search, result, f, kept), every or kept) for f in result.found]
         rest = []
@@ -365,7 +365,7 @@ def _all_notes(
         *reported.laws,
         *([_OF_THESE_RECORDS.format(", ".join(alone))] if alone else []),
         *([_NOT_EXCITED.format(", ".join(still))] if still and others else []),
-        *words_of_inputs(state.inputs, state.sampled),
+        *words_of_inputs(state.inputs, state.sampled, final.fit.model.time_unit),
         *(each.note for each in (records.segments, records.parts, records.thin) if each is not None),
     )
 

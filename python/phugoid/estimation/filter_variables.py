@@ -315,7 +315,7 @@ def make_filter_fit(
             estimates.append(Estimate(name, values[i], errors[i], unit, bounds=bounds, bounds_active=sides[i]))
             continue
         state = name.removeprefix("q_")
-        unit = f"{units[state]}/√s" if state in units else ""
+        unit = f"{units[state]}/√{model.time_unit}" if state in units else ""
         if fixed[i]:
             estimates.append(Estimate(name, values[i], errors[i], unit, values[i], (0.0, np.inf), fixed=True))
             continue

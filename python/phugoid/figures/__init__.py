@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ByName
+from ..time_unit import SECONDS, TimeUnit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -148,15 +149,15 @@ def labelled(name: str, units: Mapping[str, str]) -> str:
     return name if unit in ("", "1", "-") else f"{name}, {unit}"
 
 
-def squared(unit: str) -> str:
+def squared(unit: str, time: TimeUnit = SECONDS) -> str:
     """Return the unit of a power spectral density.
 
-    >>> squared("rad"), squared("rad/s"), squared("")
-    ('rad²/Hz', '(rad/s)²/Hz', '1/Hz')
+    >>> squared("rad"), squared("rad/s"), squared(""), squared("K", TimeUnit("h"))
+    ('rad²/Hz', '(rad/s)²/Hz', '1/Hz', 'K²·h')
     """
-    if unit in ("", "1", "-"):
-        return "1/Hz"
-    return f"{unit if unit.isalpha() else f'({unit})'}²/Hz"
+    bare = unit in ("", "1", "-")
+    power = "1" if bare else f"{unit if unit.isalpha() else f'({unit})'}²"
+    return f"{power}/Hz" if time.frequency == "Hz" else time if bare else f"{power}·{time}"
 
 
 def plain(text: str) -> str:

@@ -15,6 +15,7 @@ from ..errors import DataError, UnknownName, did_you_mean
 from ..fit_result import FitResult
 from ..goodness_of_fit import Tolerance, match, tolerances_by_output
 from ..records import Record
+from ..time_unit import TimeUnit, time_unit_of
 from . import (
     BAND,
     INPUT,
@@ -282,7 +283,7 @@ def _draw(
             if name in record.residuals and f"{name} residual" in panels:
                 draw_residual(panels[f"{name} residual"], record, name, sigma.get(name), tolerances.get(name))
         if axes is None:
-            _finish(figure, panels, title)
+            _finish(figure, panels, title, time_unit_of(record.units))
     return figure, Panels(panels)
 
 
@@ -327,7 +328,7 @@ def _layout(record: Record, channels: Sequence[str]) -> tuple[Figure, dict[str, 
     return figure, panels
 
 
-def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:
+def _finish(figure: Figure, panels: Mapping[str, Axes], title: str, time: TimeUnit) -> None:
     """Add time labels at the foot of each column only, a title, and one legend for all panels."""
     lowest: dict[float, Axes] = {}
     handles: dict[str, Any] = {}
@@ -340,7 +341,7 @@ def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:
             handles.setdefault(label, handle)
     for axis in lowest.values():
         axis.tick_params(labelbottom=True)
-        axis.set_xlabel("time, s")
+        axis.set_xlabel(plain(time.axis()))
     next(iter(panels.values())).margins(x=0.01)
     left = _LEFT / WIDTH
     headline(figure, left, title)

@@ -13,6 +13,7 @@ from ..data.filtering import even_rate
 from ..errors import DataError, OptionError, positive, whole
 from ..fit_result import FitResult
 from ..modelling.model import Model
+from ..time_unit import time_unit_of
 from .linearise import model_response
 from .response import FrequencyResponse
 from .state_space import StateSpace
@@ -70,10 +71,14 @@ def empirical_response(
         f, U, Y = _periods(u, y, u.size, rate, where)
         suu, syy, suy, words = _power(U[0]), _power(Y[0]), U[0].conj() * Y[0], "ETFE"
         if smoothing is not None:
-            width = positive("frequency_response: smoothing (Hz)", smoothing)
+            width = positive("frequency_response: smoothing", smoothing)
             kernel = _kernel(width, rate / u.size, f.size, data.name)
             suu, syy, suy = (np.convolve(s, kernel, mode="same") for s in (suu, syy, suy))
-            averages, words = float(kernel.sum() ** 2 / (kernel**2).sum()), f"ETFE, smoothed over {width:g} Hz"
+            time = time_unit_of(data.units)
+            averages, words = (
+                float(kernel.sum() ** 2 / (kernel**2).sum()),
+                f"ETFE, smoothed over {time.per(f'{width:g}')}",
+            )
         response = _ratio(suy, suu)
     kept = (f > 0.0) & (suu > 10.0 ** (floor_db / 10.0) * suu.max(initial=0.0))
     if not kept.any():
@@ -93,6 +98,7 @@ def empirical_response(
         None if coherence is None else coherence[kept],
         None if std_error is None else std_error[kept],
         _unit(data, input, output),
+        time_unit_of(data.units),
     )
     return found if band is None else found.band(*band)
 
@@ -138,8 +144,8 @@ def _channels(data: Experiment, input: str, output: str) -> tuple[float, _Array,
     if own is not None and (own[0].size - 1) / (own[0][-1] - own[0][0]) < (1.0 - 1e-6) * rate:
         raise DataError(
             f"experiment '{data.name}', input '{input}': is sampled more coarsely than output '{output}' "
-            f"({rate:g} Hz), and interpolation between its samples alters its spectrum: bring both to the lower rate "
-            "first"
+            f"(at a rate of {rate:g}), and interpolation between its samples alters its spectrum: bring both to the "
+            "lower rate first"
         )
     return rate, u - u.mean(), y - y.mean()
 
@@ -177,8 +183,8 @@ def _kernel(width: float, resolution: float, bins: int, name: str) -> _Array:
     half = round(width / resolution)
     if half < 2 or 2 * half - 1 > bins:
         raise OptionError(
-            f"frequency_response: smoothing over {width:g} Hz is not possible: experiment '{name}' shows {bins} "
-            f"frequencies, {resolution:.3g} Hz apart; take at least {2 * resolution:.3g} Hz"
+            f"frequency_response: smoothing over {width:g} is not possible: experiment '{name}' shows {bins} "
+            f"frequencies, {resolution:.3g} apart; take at least {2 * resolution:.3g}"
         )
     kernel = np.hanning(2 * half + 1)[1:-1]
     return np.asarray(kernel / kernel.sum())

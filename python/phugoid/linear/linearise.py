@@ -136,7 +136,16 @@ def linearise(
     jacobians = Jacobians(model, "linearise")
     numbers = jacobians.point(values, at)
     A, B, C, D = (jacobians.matrix(block, numbers) for block in "ABCD")
-    return StateSpace(A, B, C, D, inputs=jacobians.inputs, outputs=jacobians.outputs, states=jacobians.states)
+    return StateSpace(
+        A,
+        B,
+        C,
+        D,
+        inputs=jacobians.inputs,
+        outputs=jacobians.outputs,
+        states=jacobians.states,
+        time_unit=model.time_unit,
+    )
 
 
 def model_response(
@@ -184,7 +193,9 @@ def model_response(
         error = np.sqrt(variance)
     units = model.units
     unit = f"{units[y]}/{units[u]}" if y in units and u in units else ""
-    return FrequencyResponse(found.frequencies_hz, transfer.response, u, y, model.name, None, error, unit)
+    return FrequencyResponse(
+        found.frequencies_hz, transfer.response, u, y, model.name, None, error, unit, model.time_unit
+    )
 
 
 class _Transfer:
@@ -333,12 +344,12 @@ def modes(
     numbers = jacobians.point(values, at)
     A = jacobians.matrix("A", numbers)
     if not isinstance(fit, FitResult) or parameters is not None:
-        return table_of(np.linalg.eigvals(A).astype(np.complex128))
+        return table_of(np.linalg.eigvals(A).astype(np.complex128), time=model.time_unit)
     lam, right = np.linalg.eig(A)
     try:
         left = np.linalg.inv(right)
     except np.linalg.LinAlgError:
-        return table_of(lam.astype(np.complex128))
+        return table_of(lam.astype(np.complex128), time=model.time_unit)
     uncertainty = Uncertainty(fit)
     labels = labels_of("modes", fit, experiment)
     slopes = np.zeros((lam.size, len(uncertainty.names)), dtype=np.complex128)
@@ -350,4 +361,4 @@ def modes(
     # Digits that the eigenvectors have lost are lost to the derivatives.
     meet = np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0) > 1e7
     covariances[meet] = np.nan
-    return table_of(lam.astype(np.complex128), covariances)
+    return table_of(lam.astype(np.complex128), covariances, model.time_unit)

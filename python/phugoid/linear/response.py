@@ -28,6 +28,7 @@ from ..figures import (
     write_keys,
 )
 from ..notebook import overview, sparkline
+from ..time_unit import SECONDS, TimeUnit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -92,7 +93,7 @@ def plot_frequency_response(
             if logarithmic:
                 panels[name].set_xscale("log")
             panels[name].set_xlim(low, high)
-        panels[panel_names[-1]].set_xlabel("frequency, Hz")
+        panels[panel_names[-1]].set_xlabel(plain(f"frequency, {TimeUnit(empirical.time_unit).frequency}"))
         if axes is None:
             _finish(figure, panels["magnitude"], f"{empirical.output} from {empirical.input}")
     return figure, Panels(panels)
@@ -197,6 +198,7 @@ class FrequencyResponse:
     coherence       (F,): part of the output's power that follows the input linearly, 0 to 1; None where not known.
     std_error       (F,): standard error of the magnitude, in ``unit``; None where not known.
     unit            of the response, such as "m/s²/N"; empty where it is not known.
+    time_unit       of the model or the record, which frequencies are 1 over.
 
     Arrays are copied and made read-only. Raises DataError for shapes that differ, and frequencies out of order.
 
@@ -213,6 +215,7 @@ class FrequencyResponse:
     coherence: _Array | None = None
     std_error: _Array | None = None
     unit: str = ""
+    time_unit: str = SECONDS
 
     def __post_init__(self) -> None:
         frequencies = np.array(self.frequencies_hz, dtype=np.float64)
@@ -254,8 +257,8 @@ class FrequencyResponse:
         kept = (self.frequencies_hz >= low) & (self.frequencies_hz <= high)
         if not kept.any():
             f = self.frequencies_hz
-            span = f"they run from {f[0]:g} to {f[-1]:g} Hz" if f.size else "there are none"
-            raise DataError(f"{self._name}: no frequency lies between {low:g} and {high:g} Hz; {span}")
+            span = TimeUnit(self.time_unit).per(f"they run from {f[0]:g} to {f[-1]:g}") if f.size else "there are none"
+            raise DataError(f"{self._name}: no frequency lies between {low:g} and {high:g}; {span}")
         return replace(
             self,
             frequencies_hz=self.frequencies_hz[kept],
@@ -289,12 +292,14 @@ class FrequencyResponse:
             rows.append([name, least, greatest])
             apart = f.size > 1 and f[0] > 0.0 and f[-1] > 10.0 * f[0]
             pictures[name] = sparkline(known, t=np.log(f) if apart else f)
-        span = f"{f.size} frequencies, {f[0]:g} to {f[-1]:g} Hz" if f.size else "no frequencies"
         title = f"{self.input} to {self.output}" + (f", {self.label}" if self.label else "")
-        return overview(title, (["", "least", "greatest"], rows, "lrr"), pictures=pictures, note=span)
+        return overview(title, (["", "least", "greatest"], rows, "lrr"), pictures=pictures, note=self._span())
+
+    def _span(self) -> str:
+        f = self.frequencies_hz
+        span = f"{f.size} frequencies, {f[0]:g} to {f[-1]:g}" if f.size else ""
+        return TimeUnit(self.time_unit).per(span) if span else "no frequencies"
 
     def __repr__(self) -> str:
-        f = self.frequencies_hz
-        span = f"{f.size} frequencies, {f[0]:g} to {f[-1]:g} Hz" if f.size else "no frequencies"
         label = f", '{self.label}'" if self.label else ""
-        return f"FrequencyResponse({self.input} to {self.output}{label}, {span})"
+        return f"FrequencyResponse({self.input} to {self.output}{label}, {self._span()})"

@@ -345,15 +345,15 @@ def _rate(caller: str, runs: Sequence[Experiment]) -> float:
             worst = int(np.argmax(np.abs(steps - step)))
             raise DataError(
                 f"{caller}: needs evenly spaced samples, but in experiment '{run.name}' the interval after "
-                f"t = {run.t[worst]:g} s is {steps[worst]:g} s and others are {step:g} s: cut the record there with "
+                f"t = {run.t[worst]:g} is {steps[worst]:g} and others are {step:g}: cut the record there with "
                 ".window, or resample it"
             )
         rates.append((run.n - 1) / float(run.t[-1] - run.t[0]))
     for run, rate in zip(runs, rates, strict=True):
         if abs(rate - rates[0]) > EVEN * rates[0]:
             raise DataError(
-                f"{caller}: needs one sampling rate, but experiment '{runs[0].name}' has {rates[0]:g} Hz and "
-                f"'{run.name}' {rate:g} Hz"
+                f"{caller}: needs one sampling rate, but experiment '{runs[0].name}' has {rates[0]:g} and "
+                f"'{run.name}' {rate:g}"
             )
     return rates[0]
 
@@ -368,7 +368,7 @@ def _columns(
         if missing.size:
             k = int(missing[0])
             raise DataError(
-                f"{caller}: experiment '{run.name}', output '{name}': sample {k} (t = {run.t[k]:.6g} s) is missing"
+                f"{caller}: experiment '{run.name}', output '{name}': sample {k} (t = {run.t[k]:.6g}) is missing"
                 f"{f' (and {missing.size - 1} more)' if missing.size > 1 else ''}: cut the record there with .window "
                 "and give the parts as several experiments, or fill the gap"
             )

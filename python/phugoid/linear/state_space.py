@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import MissingDependency, ModelError, listing
 from ..notebook import Rows, overview
 from ..parameters import Estimate, plus_minus, text_table
+from ..time_unit import SECONDS, TimeUnit
 from .response import FrequencyResponse
 
 __all__ = ["ModalParts", "Mode", "Modes", "StateSpace", "as_state_space", "modal_parts", "response_of", "table_of"]
@@ -26,7 +27,7 @@ _REAL = 1e-12
 class Mode:
     """One real eigenvalue, or a complex pair by the eigenvalue with the positive imaginary part.
 
-    eigenvalue     lambda, 1/s.
+    eigenvalue     lambda, 1/s, or 1 over the unit of time that the model has; likewise below.
     frequency      |lambda| / 2 pi in Hz: the natural frequency, which is not the damped one, |Im lambda| / 2 pi.
     damping        damping ratio -Re(lambda) / |lambda|; 1 or -1 for a real eigenvalue, NaN for one at zero.
     time_constant  -1 / Re(lambda) in s: of the decay, or for a pair of its envelope; negative where it grows.
@@ -62,6 +63,7 @@ class Modes(Sequence[Mode]):
     """
 
     modes: tuple[Mode, ...]
+    time_unit: TimeUnit = SECONDS
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
@@ -108,7 +110,8 @@ class Modes(Sequence[Mode]):
             ]
             for m in self.modes
         ]
-        return ["frequency, Hz", "damping ratio", "time constant, s", "eigenvalue, 1/s"], rows, "lllr"
+        heads = [f"frequency, {self.time_unit.frequency}", "damping ratio", self.time_unit.axis("time constant")]
+        return [*heads, f"eigenvalue, 1/{self.time_unit}"], rows, "lllr"
 
     def __str__(self) -> str:
         return self.summary()
@@ -121,8 +124,10 @@ class Modes(Sequence[Mode]):
         return f"{pairs} oscillating, {len(self.modes) - pairs} not"
 
 
-def table_of(eigenvalues: NDArray[np.complex128], covariances: NDArray[np.float64] | None = None) -> Modes:
-    """Return the table of all eigenvalues (n,) of a real matrix, 1/s.
+def table_of(
+    eigenvalues: NDArray[np.complex128], covariances: NDArray[np.float64] | None = None, time: TimeUnit = SECONDS
+) -> Modes:
+    """Return the table of all eigenvalues (n,) of a real matrix, in 1 over the unit of ``time``.
 
     ``covariances`` (n, 2, 2): of real and imaginary part of each; NaN where it is not known.
     """
@@ -132,11 +137,11 @@ def table_of(eigenvalues: NDArray[np.complex128], covariances: NDArray[np.float6
         if abs(eigenvalue.imag) <= _REAL * abs(eigenvalue):
             eigenvalue = complex(eigenvalue.real)
         if eigenvalue.imag >= 0.0:
-            found.append(_mode(eigenvalue, np.full((2, 2), np.nan) if covariances is None else covariances[k]))
-    return Modes(tuple(sorted(found, key=lambda m: (abs(m.eigenvalue), m.eigenvalue.real))))
+            found.append(_mode(eigenvalue, np.full((2, 2), np.nan) if covariances is None else covariances[k], time))
+    return Modes(tuple(sorted(found, key=lambda m: (abs(m.eigenvalue), m.eigenvalue.real))), time)
 
 
-def _mode(eigenvalue: complex, covariance: NDArray[np.float64]) -> Mode:
+def _mode(eigenvalue: complex, covariance: NDArray[np.float64], time: TimeUnit) -> Mode:
     """Return a mode with standard errors by the delta method."""
     size, (re, im) = abs(eigenvalue), (eigenvalue.real, eigenvalue.imag)
     if im == 0.0:  # real for small changes of the parameters too
@@ -151,12 +156,12 @@ def _mode(eigenvalue: complex, covariance: NDArray[np.float64]) -> Mode:
         "frequency",
         size / (2.0 * math.pi),
         error((re / size / (2.0 * math.pi), im / size / (2.0 * math.pi))) if size else nan,
-        "Hz",
+        time.frequency,
     )
     ratio = 0.0 - re / size if size else nan  # 0, not -0, of a mode without damping
     damping = Estimate("damping ratio", ratio, error((-(im**2) / size**3, re * im / size**3)) if im else nan)
     constant = -1.0 / re if re else math.inf
-    time_constant = Estimate("time constant", constant, error((1.0 / re**2, 0.0)) if re else nan, "s")
+    time_constant = Estimate("time constant", constant, error((1.0 / re**2, 0.0)) if re else nan, time)
     return Mode(eigenvalue, frequency, damping, time_constant)
 
 
@@ -188,6 +193,7 @@ class StateSpace:
                       -N n_y/2 ln 2 pi: of `fit_linear`.
     warnings          in words.
     states            names of the states; x, or x1, x2, ..., unless given.
+    time_unit         unit of time, s unless given.
 
     Raises ModelError for shapes that do not fit each other, and numbers that are not finite.
 
@@ -211,6 +217,7 @@ class StateSpace:
     log_likelihood: float | None = None
     warnings: tuple[str, ...] = ()
     states: tuple[str, ...] = ()
+    time_unit: str = SECONDS
 
     def __post_init__(self) -> None:
         a, b, c = (_matrix(name, getattr(self, name)) for name in "ABC")
@@ -249,7 +256,7 @@ class StateSpace:
     @property
     def modes(self) -> Modes:
         """Natural frequencies, damping ratios and time constants."""
-        return table_of(np.linalg.eigvals(self.A).astype(np.complex128))
+        return table_of(np.linalg.eigvals(self.A).astype(np.complex128), time=TimeUnit(self.time_unit))
 
     def frequency_response(
         self, frequencies_hz: ArrayLike, input: str | None = None, output: str | None = None
@@ -266,7 +273,7 @@ class StateSpace:
         response = response_of(
             self.A, self.B[:, k : k + 1], self.C[i : i + 1], self.D[i : i + 1, k : k + 1], frequencies
         )
-        return FrequencyResponse(frequencies, response[:, 0, 0], u, y)
+        return FrequencyResponse(frequencies, response[:, 0, 0], u, y, time_unit=self.time_unit)
 
     def to_control(self, name: str | None = None) -> Any:
         """Return the system as a `control.StateSpace` of python-control, with the names of states, inputs and outputs.
@@ -320,7 +327,7 @@ def modal_parts(A: _Array, B: _Array, C: _Array) -> ModalParts:
     if not condition < _DISTINCT:
         k, other = _nearest(values)
         raise ModelError(
-            f"modal form: the eigenvalues {values[k]:.6g} and {values[other]:.6g} 1/s cannot be distinguished; "
+            f"modal form: the eigenvalues {values[k]:.6g} and {values[other]:.6g} cannot be distinguished; "
             "the modal form is for distinct ones: take models.state_space"
         )
     left = np.linalg.inv(right)

@@ -23,6 +23,7 @@ from .._core import Expr
 from ..errors import ModelError, listing, some
 from ..notebook import equation, overview, readable
 from ..parameters import Parameter
+from ..time_unit import SECONDS
 
 __all__ = [
     "Declared",
@@ -439,10 +440,24 @@ def model_latex(core: _core.Model, conditions: Sequence[str]) -> str:
     return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
 
 
-def model_text(core: _core.Model, conditions: Sequence[str]) -> str:
-    """Return the equations of a model, and its measured conditions, line by line."""
+def parameters_of(rows: Iterable[tuple[Any, ...]]) -> dict[str, Parameter]:
+    """Return the parameters by name of their rows in the core."""
+    return {
+        name: Parameter(start, (low, high), unit, prior, fixed, local, "log" if log else None, scale)
+        for name, unit, start, low, high, prior, fixed, local, log, scale in rows
+    }
+
+
+def time_note(time: str) -> list[str]:
+    """Return what is said of a unit of time: nothing of seconds."""
+    return [f"time in {time}"] if time != SECONDS else []
+
+
+def model_text(core: _core.Model, conditions: Sequence[str], time: str) -> str:
+    """Return the equations of a model, its measured conditions and its unit of time unless s, line by line."""
     marks = {"quantity": "", "equation": "'", "output": " (measured)"}
     lines = [f"{name}{marks.get(kind, f' ({kind})')} = {e}" for (kind, name), e in equations_of(core)]
     units = {n: f" ({unit})" if unit else "" for n, unit in core.inputs}
     lines += [f"conditions: {', '.join(f'{n}{units[n]}' for n in conditions)}"] if conditions else []
+    lines += time_note(time)
     return "\n".join([core.name, *(f"  {readable(line)}" for line in lines)])

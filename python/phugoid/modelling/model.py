@@ -5,15 +5,15 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import phugoid._core as _core
 
 from .._core import Expr
-from ..errors import DataError, ModelError, did_you_mean, refuse_attribute
+from ..errors import ModelError, did_you_mean, refuse_attribute
 from ..parameters import Parameter
-from ..writing import sealed, unsealed, write
+from ..time_unit import SECONDS, TimeUnit
+from ..writing import read_text, sealed, unsealed, write
 from .declared import (
     Declared,
     Delays,
@@ -31,11 +31,13 @@ from .declared import (
     model_latex,
     model_text,
     named_equations,
+    parameters_of,
     read_names,
     saved_conditions,
     separated,
     source_line,
     terms_added,
+    time_note,
 )
 from .densities import noise_from_dict, stated_noise
 from .noise import Gaussian, Noise, Sigma
@@ -58,14 +60,19 @@ class Model:
     >>> T, = m.parameters(T=Parameter(1.0, bounds=(0.01, 100), unit="s"))
     >>> m.dynamics(x=(u - x)/T)
     >>> m.outputs(x=x)
+
+    ``time_unit`` is the unit of time, of the data as of rates and time constants: ``Model("house", time_unit="h")``.
+    Results, figures and pages use it. Nothing is converted.
     """
 
     # Parameters of the core, and the same as declared.
     _made: tuple[list[Any], dict[str, Parameter]] = ([], {})
     # Inputs that are measured conditions, in order; the core takes all inputs alike.
     _condition_names: tuple[str, ...] = ()
+    _time_unit = SECONDS
 
-    def __init__(self, name: str = "model") -> None:
+    def __init__(self, name: str = "model", *, time_unit: str = "s") -> None:
+        self._time_unit = TimeUnit.checked(time_unit, f"model '{name}'")
         self._core = _core.Model(str(name))
         self._noise: Noise = Gaussian()
         self._delays = Delays()
@@ -162,19 +169,22 @@ class Model:
 
     @property
     def time(self) -> Expr:
-        """The symbol of time, s."""
+        """The symbol of time, in `time_unit`."""
         return Expr.symbol("time")
 
-    def quantities(self, **expressions: Any) -> tuple[Expr, ...]:
-        """Declare intermediate quantities; return their symbols in order.
+    @property
+    def time_unit(self) -> TimeUnit:
+        """The unit of time, "s" unless given."""
+        return self._time_unit
 
-        A term that is added to a quantity later enters wherever the quantity is used.
-        """
+    def quantities(self, **expressions: Any) -> tuple[Expr, ...]:
+        """Declare intermediate quantities; return their symbols in order. A term that is added to a quantity later
+        enters wherever the quantity is used."""
         source = source_line()
         return Declared(declare_each("quantity", expressions, lambda n, e: self._core.quantity(n, e, source)))
 
     def dynamics(self, **expressions: Any) -> None:
-        """Declare state equations: ``dynamics(x=...)`` is x' = ... (per second)."""
+        """Declare state equations: ``dynamics(x=...)`` is x' = ... (per unit of time)."""
         source = source_line()
         declare_each("dynamics", expressions, lambda n, e: self._core.equation(n, e, source))
 
@@ -268,11 +278,7 @@ class Model:
         """The parameters as declared."""
         rows = self._core.parameters
         if rows != self._made[0]:  # a thousand of them take long to make
-            made = {
-                name: Parameter(start, (low, high), unit, prior, fixed, local, "log" if log else None, scale)
-                for name, unit, start, low, high, prior, fixed, local, log, scale in rows
-            }
-            self._made = rows, made
+            self._made = rows, parameters_of(rows)
         return dict(self._made[1])
 
     @property
@@ -287,10 +293,11 @@ class Model:
 
     @property
     def units(self) -> dict[str, str]:
-        """Units of states, inputs, parameters and outputs by name, where known."""
+        """Units of states, inputs, parameters and outputs by name, where known; that of ``time`` where it is not s."""
         pairs = [*self._core.states, *self._core.inputs]
         pairs += [(name, unit) for name, unit, *_ in self._core.parameters]
         pairs += [(name, unit) for name, _, unit, _ in self._core.outputs]
+        pairs += [("time", str(self._time_unit))] if self._time_unit != SECONDS else []
         return {name: unit for name, unit in pairs if unit}
 
     @property
@@ -352,7 +359,7 @@ class Model:
         text = self._equations_to_json()
         more: dict[str, Any] = {"noise": self._noise.to_dict(), "delays": self._delays.to_dict()}
         # Under its own key: "conditions" are those at the ends of records.
-        more["measured_conditions"] = list(self._condition_names)
+        more |= {"measured_conditions": list(self._condition_names), "time_unit": self.units.get("time")}
         more = {key: value for key, value in more.items() if value}
         return json.dumps({**json.loads(text), **more}) if more else text
 
@@ -370,12 +377,11 @@ class Model:
             model._with_noise(noise_from_dict(saved.get("noise", {})))
             model._delays = Delays.from_dict(saved.get("delays", {}))
             model._condition_names = saved_conditions(saved.get("measured_conditions", []), model.input_names)
+            model._time_unit = TimeUnit.checked(saved.get("time_unit", "s"), "saved model")
         except ModelError:
             raise
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-            raise ModelError(
-                f"saved model: its noise or delays are damaged ({type(error).__name__}: {error})"
-            ) from error
+            raise ModelError(f"saved model: noise or delays are damaged ({type(error).__name__}: {error})") from error
         return model
 
     def with_parameters(
@@ -455,9 +461,10 @@ class Model:
         return dict(equations_of(self._core))
 
     def _around(self, core: _core.Model, delays: Delays) -> Model:
-        """Return a model with another core, and the noise and the conditions of this one."""
+        """Return a model with another core, and the noise, the conditions and the unit of time of this one."""
         model = type(self).__new__(type(self))
-        model._core, model._delays, model._condition_names = core, delays, self._condition_names
+        model._core, model._delays = core, delays
+        model._condition_names, model._time_unit = self._condition_names, self._time_unit
         return model._with_noise(self._noise)
 
     def _separated(self, local: Sequence[str], count: int) -> Model:
@@ -472,12 +479,7 @@ class Model:
     def load(cls, path: str | os.PathLike[str]) -> Model:
         """Read a file that `save` wrote; raise DataError where it cannot be read, ModelError where it holds no
         model."""
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise DataError(
-                f"{path}: cannot be read ({getattr(error, 'strerror', None) or 'it is no text'})"
-            ) from error
+        text = read_text(path)
         model = cls.from_json(text)
         unsealed(json.loads(text), str(path))
         return model
@@ -489,11 +491,10 @@ class Model:
         return f"<Model '{self.name}': {self._counts()}>"
 
     def _counts(self) -> str:
-        inputs, conditions = len(self.input_names), len(self.condition_names)
-        counts = f"{len(self.state_names)} states, {inputs - conditions} inputs, "
-        counts += f"{conditions} conditions, " if conditions else ""
-        counts += f"{len(self.output_names)} outputs"
-        return f"{counts}, {len(self.parameter_names)} parameters"
+        symbols = {"states": self.state_names, "inputs": [n for n in self.input_names if not self.is_condition(n)]}
+        symbols |= {"conditions": self.condition_names} if self.condition_names else {}
+        symbols |= {"outputs": self.output_names, "parameters": self.parameter_names}
+        return ", ".join([*(f"{len(names)} {kind}" for kind, names in symbols.items()), *time_note(self._time_unit)])
 
     def __str__(self) -> str:
-        return model_text(self._core, self.condition_names)
+        return model_text(self._core, self.condition_names, self._time_unit)

@@ -146,7 +146,7 @@ def model_of(
     if free:
         raise ModelError(f"PEtab: the state {free[0]} has no initial value")
 
-    m = Model(sbml.name)
+    m = Model(sbml.name, time_unit=sbml.time_unit)
     m.states(*sbml.slopes)
     if signals & used:
         m.inputs(*sorted(signals & used))

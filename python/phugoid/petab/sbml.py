@@ -154,6 +154,7 @@ class SbmlModel:
     rules: dict[str, Expr] = field(default_factory=dict)
     constants: set[str] = field(default_factory=set)
     jumping: set[str] = field(default_factory=set)
+    time_unit: str = "s"
 
     @classmethod
     def read(cls, document: Any, formulas: Formulas, overridden: Iterable[str]) -> SbmlModel:
@@ -182,6 +183,7 @@ class SbmlModel:
         found._initial_of(model, formulas, set(overridden))
         found._events_of(model, formulas)
         found._sort_rules()
+        found.time_unit = _time_unit(model)
         return found
 
     def _constants_of(self, model: Any) -> None:
@@ -364,6 +366,22 @@ def _stoichiometry(model: Any) -> dict[str, list[tuple[str, float]]]:
                     number = reference.getStoichiometry() if reference.isSetStoichiometry() else 1.0
                     found.setdefault(species.getId(), []).append((reaction.getId(), sign * number))
     return found
+
+
+# Seconds of the units of time that models of cells and of populations use.
+_TIME_UNITS = {1.0: "s", 1e-3: "ms", 60.0: "min", 3600.0: "h", 86400.0: "day"}
+
+
+def _time_unit(model: Any) -> str:
+    """Return the unit of time of an SBML model: s where it gives none, and the name of its unit where that is no usual
+    one."""
+    name = model.getTimeUnits() or "time"  # "time" is what level 2 redefines
+    defined = model.getUnitDefinition(name)
+    if defined is None or defined.getNumUnits() != 1:
+        return "s" if name in ("time", "second", "dimensionless") else str(name)
+    unit = defined.getUnit(0)
+    seconds = unit.getMultiplier() * 10.0 ** unit.getScale()
+    return next((text for size, text in _TIME_UNITS.items() if abs(seconds / size - 1.0) < 1e-9), str(name))
 
 
 def _unsupported(model: Any) -> Iterator[str]:

@@ -200,7 +200,7 @@ class Evaluation:
             i, k = np.argwhere(wrong)[0]
             raise EvaluationError(
                 f"equation_error: experiment '{run.name}': the equation of {self.listed[i].name} is not finite at "
-                f"t = {run.t[k]:g} s with the measured states and the parameters at their start: give another start"
+                f"t = {run.t[k]:g} with the measured states and the parameters at their start: give another start"
             )
 
 
@@ -265,7 +265,7 @@ class EquationSides:
         if equation.channel is None:
             return units.get(equation.name, "")
         own = units.get(equation.channel.output, units.get(equation.channel.state))
-        return f"{own}/s" if own else ""
+        return self.model.time_unit.rate(own) if own else ""
 
     def record(self, values: Mapping[str, float]) -> Record:
         """Return a record of both sides at the result."""

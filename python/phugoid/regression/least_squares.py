@@ -395,8 +395,8 @@ def _even(t: _Array, who: str) -> float:
     if uneven.size:
         worst = int(np.argmax(np.abs(steps - step)))
         raise DataError(
-            f"{who}: needs evenly spaced samples, but the interval after t = {t[worst]:g} s is {steps[worst]:g} s and "
-            f"others are {step:g} s: use SmoothingSpline"
+            f"{who}: needs evenly spaced samples, but the interval after t = {t[worst]:g} is {steps[worst]:g} and "
+            f"others are {step:g}: use SmoothingSpline"
         )
     return float(t[-1] - t[0]) / (t.size - 1)
 

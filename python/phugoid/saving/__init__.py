@@ -132,10 +132,10 @@ def fit_unit(fit: FitResult, place: tuple[str | int, ...]) -> str:
         return ""
     kind, name = str(place[2]), str(place[-1])
     if kind in ("t", "mesh_t", "mesh_times"):
-        return "s"
+        return str(fit.model.time_unit)
     if kind in ("signals", "input_samples"):  # times and values
         if place[-1] == 0:
-            return "s"
+            return str(fit.model.time_unit)
         name = str(place[3])
     units: Mapping[str, str] = fit.model.units
     if place[0] == "experiments" and isinstance(place[1], int):

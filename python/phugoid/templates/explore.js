@@ -180,7 +180,7 @@ function explore(box, data) {
     panels.forEach(draw);
     if (map) map();
     back.disabled = span === whole;
-    told.textContent = at < 0 ? data.note : `at ${number(t[at])} s`;
+    told.textContent = at < 0 ? data.note : `at ${number(t[at])} ${data.unit}`;
   }
   new ResizeObserver(redraw).observe(box);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);

@@ -27,6 +27,7 @@ from ..records import Record
 from ..sensitivities.linearised import Linearised
 from ..sensitivities.tangents import Tangents, collocated
 from ..solvers import Iteration
+from ..time_unit import time_unit_of
 from ..transcription import Collocation
 from ..validation import ReEstimated, re_estimated
 from .coloured import Colouring
@@ -242,7 +243,7 @@ _BAND_COLUMNS, _BAND_HEIGHT = 2, 1.8
 
 def plot_bands(bands: Any, title: str) -> tuple[Figure, dict[str, Axes]]:
     """Plot one panel for each output: measured points, the model's line, and both bands."""
-    names = list(bands.model)
+    names, time = list(bands.model), time_unit_of(bands.record.units)
     columns = min(_BAND_COLUMNS, len(names)) if len(names) > 2 else 1
     rows = math.ceil(len(names) / columns)
     with styled() as plt:
@@ -256,11 +257,11 @@ def plot_bands(bands: Any, title: str) -> tuple[Figure, dict[str, Axes]]:
         for name, axis in axes.items():
             _draw_bands(axis, bands, name)
         for axis in grid[-1]:
-            axis.set_xlabel("time, s")
+            axis.set_xlabel(plain(time.axis()))
         if len(names) < len(panels):  # the panel above an empty one has the axis of time
             last = axes[names[-1]]
             last.tick_params(labelbottom=True)
-            last.set_xlabel("time, s")
+            last.set_xlabel(plain(time.axis()))
         handles, labels = axes[names[0]].get_legend_handles_labels()
         height = figure.get_figheight()
         figure.legend(handles, labels, loc="upper right", ncols=4, frameon=False, fontsize=8, columnspacing=1.2)

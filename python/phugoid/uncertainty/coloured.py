@@ -24,6 +24,7 @@ from ..residual_noise.whitening import (
     shared_covariance,
 )
 from ..sensitivities.tangents import Tangents
+from ..time_unit import SECONDS, TimeUnit
 
 __all__ = ["Coloured", "Colouring", "coloured"]
 
@@ -40,7 +41,7 @@ class Coloured:
     covariance      (n, n) of the parameters in their order, corrected.
     plain           (n,) standard errors of the fit, which assume white residuals.
     autocorrelation  output -> (L,) of the noise, from lag 0 on, with fewer than 1 % left at the end.
-    times           output -> s, correlation time of the noise: the sum of its autocorrelation at positive and negative
+    times           output -> correlation time of the noise: the sum of its autocorrelation at positive and negative
                     lags times the step. White noise has its step.
     """
 
@@ -50,6 +51,7 @@ class Coloured:
     plain: _Array
     autocorrelation: Mapping[str, _Array]
     times: Mapping[str, float]
+    time_unit: TimeUnit = SECONDS
 
     @property
     def inflation(self) -> dict[str, float]:
@@ -79,7 +81,7 @@ class Coloured:
         noise = [
             [n, f"{r[1] if r.size > 1 else 0.0:.2f}", f"{self.times[n]:.3g}"] for n, r in self.autocorrelation.items()
         ]
-        return (heads, rows, "lrrrrl"), (["noise of", "lag-1", "correlation time, s"], noise, "lrr")
+        return (heads, rows, "lrrrrl"), (["noise of", "lag-1", self.time_unit.axis("correlation time")], noise, "lrr")
 
     def __str__(self) -> str:
         return self.summary()
@@ -224,6 +226,7 @@ def _corrected(fit: FitResult) -> Coloured:
         plain=plain,
         autocorrelation=correlations,
         times={n: steps[n] * (2.0 * float(r.sum()) - 1.0) for n, r in correlations.items()},
+        time_unit=fit.model.time_unit,
     )
 
 

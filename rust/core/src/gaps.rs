@@ -74,7 +74,7 @@ fn gap_warning(inputs: &[&str], experiment: &Experiment) -> Option<String> {
     let one = |([begin, end], names): &([f64; 2], Vec<&str>)| {
         let more = if names.len() > NAMED { ", ..." } else { "" };
         let names = names[..names.len().min(NAMED)].join(", ");
-        format!("{:.3} s from t = {begin:.3} s on ({names}{more})", end - begin)
+        format!("{:.3} from t = {begin:.3} on ({names}{more})", end - begin)
     };
     let listed: Vec<String> = found.iter().take(NAMED).map(one).collect();
     let more = found.len().saturating_sub(NAMED);

@@ -154,7 +154,7 @@ impl Mesh {
         // In time order, so that two samples at one point stand side by side.
         if let Some(i) = mesh.sample_points.windows(2).position(|w| w[0] == w[1]) {
             return Err(Error::data(format!(
-                "the samples at {} s and {} s are too close together for the mesh; drop one of them",
+                "the samples at t = {} and {} are too close together for the mesh; drop one of them",
                 t[i],
                 t[i + 1]
             )));
@@ -256,7 +256,7 @@ pub(crate) fn edges(grid: &Grid, t: &[f64]) -> Result<Vec<f64>, Error> {
                 && (edges[edges.len() - 1] - last).abs() <= SAME * span;
             if !fits {
                 return Err(Error::option(format!(
-                    "segment edges must start at the first sample ({first} s) and end at the last ({last} s)"
+                    "segment edges must start at the first sample ({first}) and end at the last ({last})"
                 )));
             }
             if let Some(i) = edges.windows(2).position(|w| w[0].is_nan() || w[1].is_nan() || w[0] >= w[1]) {

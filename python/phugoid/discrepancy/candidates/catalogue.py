@@ -10,7 +10,6 @@ from itertools import combinations, combinations_with_replacement, permutations,
 from ..._core import Expr
 from ...modelling.model import Model
 from ...sensitivities import Place
-from ..misfit.phrases import per_second
 from .candidate import Effect, unused
 from .channel_effects import (
     ClippedSensor,
@@ -130,7 +129,7 @@ class Catalogue:
         symbols = tuple(v.symbol for v in factors)
         unit = self.structure.model.units.get(place.name, "") if place.kind == "output" else ""
         if form == "drift" and unit:
-            unit = per_second(unit)
+            unit = self.structure.model.time_unit.rate(unit)
         return Term(
             name,
             place,
@@ -265,7 +264,7 @@ class Catalogue:
                     variables=(v.symbol,),
                     beside="" if self.structure.has_friction(place, v.symbol) else f"{shown}:sign({v.shown})",
                 )
-            moves = v.rate or self.structure.model.units.get(v.symbol, "").endswith("/s")
+            moves = v.rate or self.structure.moves(v.symbol)
             if v.kind == "state" and v.symbol in self.structure.dynamics and not moves:
                 yield Hysteresis(
                     f"{shown}:hysteresis_{v.shown}",
@@ -336,7 +335,7 @@ class Catalogue:
                 yield EndStop(
                     f"{x}:limit", at, words, "limit", self.scales, (stiffness,), shape, variables=(x,), speed=speed
                 )
-            elif x in places and units.get(x, "") not in ANGLES and not units.get(x, "").endswith("/s"):
+            elif x in places and units.get(x, "") not in ANGLES and not self.structure.moves(x):
                 words = f"{x} stops at a limit (overflow, a store that is full or empty)"
                 yield StateLimit(
                     f"{x}:limit", Place("equation", x), words, "limit", self.scales, (), (limit,), variables=(x,)

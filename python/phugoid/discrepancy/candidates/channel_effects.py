@@ -97,7 +97,8 @@ class Lag(Effect):
     def follower(self, extension: ExtensionBuilder, name: str, it: Expr) -> Expr:
         """Declare tau and the state that follows."""
         (tau_name,) = self.shape_names
-        tau = extension.parameter(tau_name, self.shapes[len(self.shapes) // 3][tau_name], **lag_bounds(self.scales))
+        declared = lag_bounds(self.scales, extension.old.time_unit)
+        tau = extension.parameter(tau_name, self.shapes[len(self.shapes) // 3][tau_name], **declared)
         unit = extension.old.units.get(self.place.name, "")
         return extension.state(name, unit, lambda z: (it - z) / tau, it)
 
@@ -115,7 +116,7 @@ class Delay(Effect):
     def delay(self, extension: ExtensionBuilder) -> str:
         """Declare the delay, and return its name."""
         (name,) = self.shape_names
-        declared: dict[str, Any] = delay_bounds(self.scales)
+        declared: dict[str, Any] = delay_bounds(self.scales, extension.old.time_unit)
         extension.parameter(name, **declared)
         return name
 

@@ -197,7 +197,8 @@ class FlexibleMode(Effect):
         frequency, damping = self.shape_names
         low, high = self.shapes[0][frequency], self.shapes[-1][frequency]
         c = extension.parameter(self.coefficients[0])
-        w = extension.parameter(frequency, low, bounds=(0.5 * low, 2.0 * high), unit="rad/s", transform="log")
+        bounds, unit = (0.5 * low, 2.0 * high), model.time_unit.rate("rad")
+        w = extension.parameter(frequency, low, bounds=bounds, unit=unit, transform="log")
         zeta = extension.parameter(damping, _DAMPING, bounds=_DAMPINGS, transform="log")
         it = extension.at(self.place)
 

@@ -14,7 +14,6 @@ from ..._core import Expr
 from ...functions import smooth_abs, smooth_step, tanh
 from ...modelling.model import Model
 from ...sensitivities import Points
-from ..misfit.phrases import per_second
 from .candidate import Candidate, Effect, ExtensionBuilder
 from .channel_effects import channel, cut_off
 from .scales import evaluated, of, output_key, rate_key
@@ -451,7 +450,7 @@ class RateLimit(_Follower):
     def declared(self, model: Model) -> dict[str, Any]:
         span, unit = self.scales.span(self.place.name), model.units.get(self.place.name, "")
         bounds = (0.1 * span / self.scales.duration, 10.0 * span / self.scales.interval)
-        return {"bounds": bounds, "unit": per_second(unit) if unit else ""}
+        return {"bounds": bounds, "unit": model.time_unit.rate(unit) if unit else ""}
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         fastest = max(float(np.abs(np.diff(channel(self, p)) / np.diff(p.t)).max()) for p in points if p.n > 1)

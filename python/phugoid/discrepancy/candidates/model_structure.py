@@ -13,7 +13,7 @@ from ..._core import Expr
 from ...modelling.model import Model
 from ...sensitivities import Place
 
-__all__ = ["ANGLES", "ANGULAR_RATES", "LENGTHS", "TURN", "ModelStructure", "Variable", "addends"]
+__all__ = ["ANGLES", "LENGTHS", "TURN", "ModelStructure", "Variable", "addends"]
 
 TURN = {"rad": 2.0 * math.pi, "deg": 360.0, "°": 360.0}
 """Unit of an angle -> a turn in it."""
@@ -29,9 +29,6 @@ _SINES, _JUMPS = ("sin", "cos", "tan"), ("sign", "tanh", "atan")
 
 # Points within +-this at which a slope is tried: angles in rad, and whatever else.
 _TRIED, _RANGE = 50, 3.0
-
-ANGULAR_RATES = ("rad/s", "deg/s", "°/s", "1/s")
-"""Units of angular rates."""
 
 LENGTHS = ("m", "km", "ft", "nmi", "NM")
 """Units of positions."""
@@ -96,7 +93,7 @@ class ModelStructure:
                 "state",
                 name in rates,
                 # By its unit; where nothing is said of any, it might be.
-                name in rates or units.get(name, "").endswith("/s") or not (rates or name in units),
+                name in rates or self.moves(name) or not (rates or name in units),
             )
             for name in model.state_names
             if name in known
@@ -136,8 +133,12 @@ class ModelStructure:
         """Tell whether a variable may be what a store holds, as a level or a pressure: a state that is no angle, no
         rate and no position, which is a speed's integral."""
         unit = self.model.units.get(variable.symbol, "")
-        moves = variable.rate or unit.endswith("/s") or variable.symbol in self._exact
+        moves = variable.rate or self.moves(variable.symbol) or variable.symbol in self._exact
         return variable.kind == "state" and not moves and unit not in ANGLES
+
+    def moves(self, name: str) -> bool:
+        """Tell whether the unit of a variable is one per unit of the model's time."""
+        return self.model.time_unit.is_rate(self.model.units.get(name, ""))
 
     @cached_property
     def coordinates(self) -> list[tuple[Variable, Variable]]:
@@ -258,7 +259,7 @@ class ModelStructure:
 
     def _is_rate(self, name: str) -> bool:
         """Tell whether a state is an angular rate by its unit, or another state's derivative by exact kinematics."""
-        if self.model.units.get(name, "") in ANGULAR_RATES:
+        if self.model.units.get(name, "") in self.model.time_unit.angular_rates:
             return True
         slopes = [Expr(e.diff(name)).constant for state, e in self._exact.items() if state != name]
         return any(slope for slope in slopes)

@@ -225,10 +225,10 @@ def delay_grid(scales: Scales) -> _Array:
     return np.geomspace(min(0.25 * scales.interval, 0.5 * longest), longest, 8)
 
 
-def delay_bounds(scales: Scales) -> dict[str, Any]:
+def delay_bounds(scales: Scales, unit: str) -> dict[str, Any]:
     """Return the declaration of a delay: wide, a lead is no delay but may be what fits best; some of the record must be
     left."""
-    return {"bounds": (-0.25 * scales.duration, 0.25 * scales.duration), "unit": "s"}
+    return {"bounds": (-0.25 * scales.duration, 0.25 * scales.duration), "unit": unit}
 
 
 def lag_grid(scales: Scales) -> _Array:
@@ -239,10 +239,10 @@ def lag_grid(scales: Scales) -> _Array:
     return np.geomspace(shortest, longest, int(np.ceil(np.log(longest / shortest) / np.log(2.0))) + 1)
 
 
-def lag_bounds(scales: Scales) -> dict[str, Any]:
+def lag_bounds(scales: Scales, unit: str) -> dict[str, Any]:
     """Return the declaration of a time constant. Its bounds keep the equation from dividing by zero, and are else wide:
     whether a value is physical is another question."""
-    return {"bounds": (0.05 * scales.interval, 2.0 * scales.duration), "unit": "s"}
+    return {"bounds": (0.05 * scales.interval, 2.0 * scales.duration), "unit": unit}
 
 
 def frequency_grid(scales: Scales) -> _Array:

@@ -313,7 +313,7 @@ class LaggedVariable(Effect):
         c = extension.parameter(self.coefficients[0])
         # An ever smaller time constant with an ever larger coefficient comes to a derivative, and steps in the constant
         # itself run away there; steps in its logarithm come back from twice as many starts.
-        options = {**lag_bounds(self.scales), "transform": "log"}
+        options = {**lag_bounds(self.scales, model.time_unit), "transform": "log"}
         tau = extension.parameter(tau_name, self.shapes[len(self.shapes) // 2][tau_name], **options)
         u = Expr.symbol(variable)
         lag = extension.state(f"{variable}_lag", model.units.get(variable, ""), lambda z: (u - z) / tau, u)
@@ -354,7 +354,7 @@ class Periodic(Effect):
         (name,) = self.shape_names
         # Half a cycle a record is still a trend; near half the sampling rate slow disturbances look fast.
         bounds = (0.5 * np.pi / self.scales.duration, 0.7 * np.pi / self.scales.interval)
-        w = extension.parameter(name, self.shapes[0][name], bounds=bounds, unit="rad/s")
+        w = extension.parameter(name, self.shapes[0][name], bounds=bounds, unit=model.time_unit.rate("rad"))
         angle = w * (Expr.symbol("time") - self._middle())
         extension.add(self.place, a * sin(angle) + b * cos(angle))
         return extension.model()
@@ -484,7 +484,7 @@ class Step(Effect):
         (name,) = self.shape_names
         d = extension.parameter(self.coefficients[0], unit=model.units.get(self.place.name, ""))
         span = self.scales.begin, self.scales.begin + self.scales.duration
-        at = extension.parameter(name, self.shapes[len(self.shapes) // 2][name], bounds=span, unit="s")
+        at = extension.parameter(name, self.shapes[len(self.shapes) // 2][name], bounds=span, unit=model.time_unit)
         jump = d * smooth_step(Expr.symbol("time") - at, self._width)
         if self.place.kind == "output":
             extension.add(self.place, jump)

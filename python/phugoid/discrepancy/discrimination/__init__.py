@@ -16,6 +16,7 @@ import numpy as np
 
 from ...data.experiment import Experiment
 from ...errors import PhugoidError, joined
+from ...time_unit import SECONDS, TimeUnit
 from ..candidates.candidate import Candidate
 from ..misfit.phrases import number
 from ..search import Search, SearchResult
@@ -52,9 +53,9 @@ class DiscriminatingManoeuvre:
     here: float
 
     def __str__(self) -> str:
-        length = number(float(self.record.t[-1] - self.record.t[0]))
+        length = f"{number(float(self.record.t[-1] - self.record.t[0]))} {self.manoeuvre.time_unit}"
         return (
-            f"A {self.manoeuvre}, recorded for {length} s, is expected to distinguish it from "
+            f"A {self.manoeuvre}, recorded for {length}, is expected to distinguish it from "
             f"{joined(tuple(self.gains), 'and')} (expected gain in log-likelihood {number(min(self.gains.values()))}, "
             f"{_so_far(self.here)})."
         )
@@ -74,21 +75,22 @@ class Advice:
     manoeuvres  each for the rivals that those before do not tell from the cause.
     alike       rivals that none tells from it.
     tried       inputs that were moved; none where no manoeuvre could be flown.
-    length      of a manoeuvre and what follows at most, s.
+    length      of a manoeuvre and what follows at most, in ``time_unit``.
     """
 
     manoeuvres: tuple[DiscriminatingManoeuvre, ...]
     alike: tuple[str, ...]
     tried: tuple[str, ...]
     length: float
+    time_unit: TimeUnit = SECONDS
 
     def __str__(self) -> str:
         """Return the advice in words; "" where no manoeuvre could be flown."""
         sentences = [str(t) for t in self.manoeuvres]
         if self.alike and self.tried:
             sentences.append(
-                f"No manoeuvre of {joined(self.tried, 'or')} tried here ({KINDS}; {number(self.length)} s, up to "
-                f"{GREATEST:g} times the amplitude of this record) would distinguish it from "
+                f"No manoeuvre of {joined(self.tried, 'or')} tried here ({KINDS}; {number(self.length)} "
+                f"{self.time_unit}, up to {GREATEST:g} times the amplitude of this record) would distinguish it from "
                 f"{joined(self.alike, 'or')}: their effects are the same."
             )
         return " ".join(sentences)
@@ -137,7 +139,7 @@ def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
         )
         open_ = [k for k in open_ if k not in mine]
     tried = tuple(dict.fromkeys(m.input for m in flyable.manoeuvres))
-    return Advice(tuple(chosen), alike, tried, float(flyable.t[-1] - flyable.t[0]))
+    return Advice(tuple(chosen), alike, tried, float(flyable.t[-1] - flyable.t[0]), final.fit.model.time_unit)
 
 
 def advice_of(search: Search, result: SearchResult, candidate: Candidate | None, aliases: Sequence[str]) -> str:

@@ -15,6 +15,7 @@ from ...design.steps import step as step_input
 from ...fit_result import dataset
 from ...residual_noise import uniform_segments
 from ...residual_noise.whitening import Filter, RowStructure
+from ...time_unit import SECONDS, TimeUnit
 from ..misfit.phrases import number, with_unit
 from ..search.refit import Refit
 from .manoeuvre_response import ManoeuvreResponse
@@ -151,7 +152,9 @@ class CandidateManoeuvres:
             if abs(farthest) <= 1e-9 * float(np.abs(data[0].input(name)).max()):
                 continue
             for size in _SIZES:
-                some = list(manoeuvres_of_size(name, model.units.get(name, ""), self.t, size * farthest))
+                some = list(
+                    manoeuvres_of_size(name, model.units.get(name, ""), self.t, size * farthest, model.time_unit)
+                )
                 if size in _SMALL:
                     some = [m for m in some if m.kind in SLOW]
                 low, high = _signs([e.input(name) for e in data])
@@ -303,6 +306,7 @@ class CandidateManoeuvre:
     pace     how fast, in words.
     moves    (N,) distance from the trim at the samples, in its unit.
     done     number of samples until it is over, or has been seen whole.
+    time_unit  of the model.
     """
 
     kind: str
@@ -312,6 +316,7 @@ class CandidateManoeuvre:
     pace: str
     moves: _Array
     done: int
+    time_unit: TimeUnit = SECONDS
 
     def __str__(self) -> str:
         one_sided = self.kind in ("step", "slow ramp")
@@ -320,13 +325,15 @@ class CandidateManoeuvre:
         return f"{self.kind} on {self.input} of {sign}{with_unit(size, self.unit)}{self.pace}"
 
 
-def manoeuvres_of_size(name: str, unit: str, t: _Array, size: float) -> Iterator[CandidateManoeuvre]:
-    """Manoeuvres of one size, (N,) equally spaced times ``t`` (s) long."""
+def manoeuvres_of_size(
+    name: str, unit: str, t: _Array, size: float, time: TimeUnit = SECONDS
+) -> Iterator[CandidateManoeuvre]:
+    """Manoeuvres of one size, (N,) equally spaced times ``t`` (in the unit ``time``) long."""
     n, step = t.size, float(t[1] - t[0])
     lead = max(int(_LEAD * n), 1)
 
     def made(kind: str, pace: str, moves: _Array, done: int) -> CandidateManoeuvre:
-        return CandidateManoeuvre(kind, name, size, unit, pace, size * moves, min(done, n))
+        return CandidateManoeuvre(kind, name, size, unit, pace, size * moves, min(done, n), time)
 
     longest = max(int(_LONGEST * n), _FEWEST)
     shortest = min(max(_FEWEST, n // 100), longest)
@@ -337,17 +344,17 @@ def manoeuvres_of_size(name: str, unit: str, t: _Array, size: float) -> Iterator
             end, width = lead + samples * sum(lengths), samples * step
             if end < n:
                 moves = multistep(t, 1.0, lengths, width=width, heights=heights, start=begin)
-                yield made(kind, f" with steps of {number(width)} s", moves, end + samples)
+                yield made(kind, f" with steps of {number(width)} {time}", moves, end + samples)
     yield made("step", "", step_input(t, 1.0, start=begin), lead + longest)
     length = (n - 1 - lead) * step
     slowest, fastest = 2.0 / length, 1.0 / (_PERIOD * step)
     for part in _ENDS if fastest > 2.0 * slowest else ():
         # Each octave takes as long as the others.
         highest = slowest * (fastest / slowest) ** part
-        pace = f" from {number(slowest)} to {number(highest)} Hz within {number(length)} s"
+        pace = f" from {number(slowest)} to {number(highest)} {time.frequency} within {number(length)} {time}"
         yield made("sine sweep", pace, sweep(t, 1.0, band=(slowest, highest), start=begin), n)
     for part in _RISES:
         rise = max(int(part * n), 1)
         since_lead = np.arange(n) - lead
         moves = np.clip(np.minimum(since_lead, 2 * rise - since_lead) / rise, 0.0, 1.0)
-        yield made("slow ramp", f" within {number(rise * step)} s and back", moves, lead + 2 * rise)
+        yield made("slow ramp", f" within {number(rise * step)} {time} and back", moves, lead + 2 * rise)

@@ -19,6 +19,7 @@ from ...residual_noise.autoregression import (
     spectrum_of,
     tones_of,
 )
+from ...time_unit import TimeUnit, time_unit_of
 from .phrases import channel_phrases, number
 from .regimes import Dependence, Regime, Running, Span, correlations_of, regimes_of, spans_of
 
@@ -58,7 +59,7 @@ class ChannelMisfit:
     running, usual, spans   running RMS by experiment, its usual level, and the spans that stand out.
     regimes, correlations   against states, inputs and their rates; the least likely chance first.
     spectrum, tones         power by frequency, and lines in it.
-    units        of states and inputs.
+    units        of states and inputs, and of time where it is not s.
     notes        what could not be told, and why.
     resolution   of the sensor, where its samples lie on a grid; 0 elsewhere.
 
@@ -176,7 +177,7 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
         note = f"{name} has {n} samples: too few to distinguish noise from misfit ({_ENOUGH} are needed)"
         return ChannelMisfit(name, unit, n, rms, notes=(note,))
     series, others = same_rate(every)
-    notes = [_on_outliers(name, every)] if any(s.outliers.size for s in every) else []
+    notes = [_on_outliers(name, every, time_unit_of(units))] if any(s.outliers.size for s in every) else []
     notes += [
         f"{name} is sampled at another rate in '{s.experiment}', which only its spans of large residuals look at"
         for s in others
@@ -223,10 +224,10 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
     )
 
 
-def _on_outliers(name: str, every: Sequence[Series]) -> str:
+def _on_outliers(name: str, every: Sequence[Series], time: TimeUnit) -> str:
     count = sum(s.outliers.size for s in every)
     first = next(s for s in every if s.outliers.size)
-    where = f"{first.outliers[0]:g} s of '{first.experiment}'"
+    where = f"{first.outliers[0]:g} {time} of '{first.experiment}'"
     if count == 1:
         return f"{name} has an outlier, at {where}, which is left out here"
     return f"{name} has {count} outliers, the first at {where}, which are left out here"

@@ -30,8 +30,9 @@ from ...fit_result import FitResult
 from ...notebook import Html, bullets, notebook_page, sparkline, table
 from ...records import Record
 from ...residual_noise import channel_series, residual_of, resolution_of
+from ...time_unit import time_unit_of
 from . import ChannelMisfit, channel_misfit
-from .phrases import number, per_second, what_stands_out
+from .phrases import number, what_stands_out
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -228,7 +229,7 @@ def _draw_time(axis: Axes, c: ChannelMisfit, record: Record, *, first: bool, roo
     if running is not None:
         axis.plot(running.t, running.rms, color=MODEL, linewidth=0.9)
     axis.margins(x=0.01)
-    axis.set_xlabel("time, s", labelpad=1.0)
+    axis.set_xlabel(plain(time_unit_of(c.units).axis()), labelpad=1.0)
     if room:
         name = record.name if len(record.name) <= room else f"{record.name[: max(room - 1, 1)]}…"
         axis.set_title(plain(name), fontsize=6.5, loc="left", pad=2.0)
@@ -253,7 +254,7 @@ def _draw_autocorrelation(axis: Axes, c: ChannelMisfit) -> None:
     axis.fill_between(c.lags, c.autocorrelation, color=MEASURED, alpha=0.25, linewidth=0.0)
     axis.plot(c.lags, c.autocorrelation, color=MEASURED, linewidth=1.1)
     axis.set_ylim(min(-0.3, 1.1 * float(c.autocorrelation.min())), 1.05)
-    axis.set_xlabel("lag, s", labelpad=1.0)
+    axis.set_xlabel(plain(time_unit_of(c.units).axis("lag")), labelpad=1.0)
     axis.set_title(f"autocorrelation ({'not white' if c.coloured else 'white'})", fontsize=7.5)
 
 
@@ -275,9 +276,10 @@ def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
     axis.set_ylim(min(s.level / 20.0, float(s.density.min())), max(s.level * 20.0, 1.5 * float(s.density.max())))
     for part in (axis.xaxis, axis.yaxis):
         part.set_minor_formatter(NullFormatter())
-    axis.set_xlabel("frequency, Hz", labelpad=1.0)
+    time = time_unit_of(c.units)
+    axis.set_xlabel(plain(f"frequency, {time.frequency}"), labelpad=1.0)
     tones = ", tones dotted" if c.tones else ""
-    axis.set_title(plain(f"power, {squared(c.unit)}{tones}"), fontsize=7.5)
+    axis.set_title(plain(f"power, {squared(c.unit, time)}{tones}"), fontsize=7.5)
 
 
 def _draw_regime(axis: Axes, c: ChannelMisfit) -> None:
@@ -296,7 +298,7 @@ def _draw_regime(axis: Axes, c: ChannelMisfit) -> None:
         axis.plot([x - h, x + h], [value, value], color=MODEL if out else MEASURED, linewidth=2.0 if out else 1.4)
     name, bare = regime.variable, regime.variable.removesuffix("'")
     unit = c.units.get(bare, "")
-    unit = per_second(unit) if name.endswith("'") else unit
+    unit = time_unit_of(c.units).rate(unit) if name.endswith("'") else unit
     axis.set_xlabel(plain(labelled(name, {name: unit})), labelpad=1.0)
     clear = c.regime is not None or (c.follows is not None and c.follows.variable == name)
     axis.set_title(plain(f"mean over {name}{'' if clear else ' (chance?)'}"), fontsize=7.5)

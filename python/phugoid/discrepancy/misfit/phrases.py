@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from ...time_unit import time_unit_of
 from .regimes import Bin, Dependence, Regime
 
 __all__ = [
     "channel_phrases",
     "number",
-    "per_second",
     "percent",
     "regime_phrase",
     "time_phrase",
@@ -83,7 +83,7 @@ def time_phrase(c: Any) -> str:
     first = c.spans[0]
     where = f" of '{first.experiment}'" if several else ""
     begin, end = _interval(first.start, first.end)
-    text = f"strongest from {begin} to {end} s{where} ({first.times:.2g} times the usual)"
+    text = f"strongest from {begin} to {end} {time_unit_of(c.units)}{where} ({first.times:.2g} times the usual)"
     more = len(c.spans) - 1
     return text + (f" and in {more} more span{'s' if more > 1 else ''}" if more else "")
 
@@ -102,7 +102,7 @@ def _range(regime: Regime, b: Bin, units: Any) -> str:
     bare = name.removesuffix("'")
     unit = units.get(bare, "")
     if name.endswith("'"):
-        unit = per_second(unit)
+        unit = time_unit_of(units).rate(unit)
     unit = f" {unit}" if unit else ""
     if b is regime.bins[0]:
         return f"{name} < {number(b.high)}{unit}"
@@ -112,9 +112,9 @@ def _range(regime: Regime, b: Bin, units: Any) -> str:
 
 
 def _frequencies(c: Any) -> list[str]:
-    parts = []
+    parts, hz = [], time_unit_of(c.units).frequency
     for tone in c.tones[:1]:
-        parts.append(f"a tone at {number(tone.frequency)} Hz (amplitude {with_unit(tone.amplitude, c.unit)})")
+        parts.append(f"a tone at {number(tone.frequency)} {hz} (amplitude {with_unit(tone.amplitude, c.unit)})")
     if c.spectrum is None or not c.spectrum.bands or not c.coloured:
         return parts
     band = c.spectrum.bands[0]
@@ -122,11 +122,11 @@ def _frequencies(c: Any) -> list[str]:
         return parts
     nyquist = float(c.spectrum.frequency[-1])
     if band.low == 0.0 and c.spectrum.most_below < _SLOW * nyquist:
-        parts.append(f"slow, 80 % below {number(c.spectrum.most_below)} Hz")
+        parts.append(f"slow, 80 % below {number(c.spectrum.most_below)} {hz}")
     elif band.low == 0.0:
-        parts.append(f"{percent(band.share)} below {number(band.high)} Hz")
+        parts.append(f"{percent(band.share)} below {number(band.high)} {hz}")
     else:
-        parts.append(f"{percent(band.share)} between {number(band.low)} and {number(band.high)} Hz")
+        parts.append(f"{percent(band.share)} between {number(band.low)} and {number(band.high)} {hz}")
     return parts
 
 
@@ -148,15 +148,6 @@ def _interval(begin: float, end: float) -> tuple[str, str]:
     """Return both ends with as many decimals as tell them apart."""
     digits = max(0, 1 - math.floor(math.log10(max(end - begin, 1e-9))))
     return f"{begin:.{digits}f}", f"{end:.{digits}f}"
-
-
-def per_second(unit: str) -> str:
-    """Return the unit of a derivative.
-
-    >>> per_second("rad"), per_second("rad/s"), per_second("")
-    ('rad/s', 'rad/s²', '1/s')
-    """
-    return f"{unit}²" if unit.endswith("/s") else f"{unit}/s" if unit else "1/s"
 
 
 def with_unit(value: float, unit: str) -> str:

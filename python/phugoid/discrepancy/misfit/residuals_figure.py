@@ -100,9 +100,13 @@ def plot_residuals(
                     _empty(axes[f"{name} {what}"], "too few residuals")
             else:
                 _draw_autocorrelation(axes[f"{name} autocorrelation"], series[0])
-                _draw_spectrum(axes[f"{name} spectrum"], series[0], chosen.units.get(name, ""))
-        for what, text in (("", "time, s"), (" autocorrelation", "lag, s"), (" spectrum", "frequency, Hz")):
-            axes[f"{names[-1]}{what}"].set_xlabel(text)
+                _draw_spectrum(
+                    axes[f"{name} spectrum"], series[0], squared(chosen.units.get(name, ""), fit.model.time_unit)
+                )
+        time = fit.model.time_unit
+        labels = {"": time.axis(), " autocorrelation": time.axis("lag"), " spectrum": f"frequency, {time.frequency}"}
+        for what, text in labels.items():
+            axes[f"{names[-1]}{what}"].set_xlabel(plain(text))
             axes[f"{names[-1]}{what}"].set_visible(True)
         for name in names[:-1]:
             axes[name].tick_params(labelbottom=False)
@@ -200,7 +204,7 @@ def _draw_spectrum(axis: Axes, series: Series, unit: str) -> None:
     if s.frequency[-1] < 100.0 * s.frequency[0]:  # less than two decades
         axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=9))
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_title(plain(squared(unit)), fontsize=6.5, loc="right", pad=1.5)
+    axis.set_title(plain(unit), fontsize=6.5, loc="right", pad=1.5)
 
 
 def _uneven(series: Series) -> bool:

@@ -13,6 +13,7 @@ from ...modelling.model import Model
 from ...notebook import equation
 from ...pages import PageTable, histories, picture, render, sources
 from ...parameters import Estimate
+from ...time_unit import SECONDS, TimeUnit
 from ...writing import PAGES, check_folder, check_suffix, write
 from ..misfit.misfit import Misfit, misfit
 from ..misfit.phrases import number, percent, what_stands_out, with_unit
@@ -151,7 +152,8 @@ def _estimated(finding: Finding) -> list[str]:
     if not value:  # those of each record are listed before
         return []
     if len(values) == 3 and finding.cause.endswith(":periodic"):
-        return [f"Amplitude: {value}, at {number(abs(values[2]) / (2.0 * math.pi), 3)} Hz."]
+        time = TimeUnit([SECONDS, *finding.units.values()][-1].removeprefix("rad/"))
+        return [f"Amplitude: {value}, at {time.per(number(abs(values[2]) / (2.0 * math.pi), 3))}."]
     if len(values) == 3 and ":periodic_" in finding.cause:
         return [f"Amplitude: {value}, period {number(2.0 * math.pi / abs(values[2]), 4)}."]
     lines = [f"Estimated: {value}."]
@@ -318,7 +320,7 @@ def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
         outcome=outcome(diagnosis),
         explained=_explained(diagnosis),
         wrong=_wrong(diagnosis),
-        causes=[_cause(finding) for finding in diagnosis.findings],
+        causes=[_cause(finding, diagnosis.fit.model.time_unit) for finding in diagnosis.findings],
         tried=len(diagnosis.ranking),
         threshold=diagnosis.threshold,
         evidence=_evidence(diagnosis) if diagnosis.ranking else None,
@@ -362,7 +364,7 @@ def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
     }
 
 
-def _cause(finding: Finding) -> dict[str, Any]:
+def _cause(finding: Finding, time: TimeUnit) -> dict[str, Any]:
     gains = {finding.cause: finding.gain, **{n: finding.rivals.get(n, float("nan")) for n in finding.aliases}}
     rows = [[name, with_sign(gain)] for name, gain in gains.items()] if finding.cause and finding.aliases else []
     return {
@@ -370,7 +372,7 @@ def _cause(finding: Finding) -> dict[str, Any]:
         "status": finding.status,
         "lines": finding_lines(finding),
         "rivals": PageTable(["cause or rival", "gain in log-likelihood"], rows, "lr"),
-        "curve": picture(curve_figure(finding)[0]) if finding.curve else None,
+        "curve": picture(curve_figure(finding, time)[0]) if finding.curve else None,
     }
 
 

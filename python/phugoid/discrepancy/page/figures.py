@@ -11,6 +11,7 @@ from ...errors import DataError, UnknownName, listing
 from ...figures import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, WIDTH, Panels, labelled, plain, styled
 from ...fit_result import FitResult
 from ...records import Record
+from ...time_unit import SECONDS, TimeUnit
 from ..misfit.phrases import number
 from ..search.finding import DiagnosisResult, ExtensionResult, Finding, Gain, Scored
 
@@ -35,7 +36,7 @@ def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
     figures = [diagnosis.misfit.plot()[0]]
     if any(np.isfinite(f.explained) for f in diagnosis.findings):
         figures.insert(0, explained_figure(diagnosis.findings)[0])
-    figures += [curve_figure(f)[0] for f in diagnosis.findings if f.curve]
+    figures += [curve_figure(f, diagnosis.fit.model.time_unit)[0] for f in diagnosis.findings if f.curve]
     if diagnosis.ranking:
         figures.append(ranking_figure(diagnosis.ranking, diagnosis.threshold)[0])
     extension = diagnosis._extension
@@ -110,7 +111,7 @@ def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axe
     return figure, Panels({"explained": left, "outputs": right})
 
 
-def curve_figure(finding: Finding) -> tuple[Figure, dict[str, Axes]]:
+def curve_figure(finding: Finding, time: TimeUnit = SECONDS) -> tuple[Figure, dict[str, Axes]]:
     """Return what a disturbance or an unknown function adds to its place, with a band of 95 %, over time or over its
     variable.
 
@@ -130,7 +131,7 @@ def curve_figure(finding: Finding) -> tuple[Figure, dict[str, Axes]]:
             axes.fill_between(at[piece], low, high, color=MODEL, alpha=0.2, linewidth=0.0)
             axes.plot(at[piece], value[piece], color=MODEL, linewidth=1.2)
         axes.axhline(0.0, color=INPUT, linewidth=0.6)
-        axes.set_xlabel(plain(what[2:-1]) if what.startswith("f(") else "time, s")
+        axes.set_xlabel(plain(what[2:-1]) if what.startswith("f(") else time.axis())
         axes.set_ylabel(f"added to {plain(where)}" if where else "what is missing")
     return figure, Panels({"curve": axes})
 
@@ -187,7 +188,8 @@ def findings_figure(
             top.set_title(plain(title), loc="left", fontsize=8.5)
         handles = [*panels[channels[0]].get_lines()[1:], panels[f"{channels[0]} change"].get_lines()[1]]
         figure.legend(handles=handles, loc="outside upper right", ncols=3, frameon=False, fontsize=7.5)
-        axes[-1, 0].set_xlabel(plain(f"time in '{before.name}', s" if len(fit.records) > 1 else "time, s"))
+        shown = f"time in '{before.name}'" if len(fit.records) > 1 else "time"
+        axes[-1, 0].set_xlabel(plain(fit.model.time_unit.axis(shown)))
         axes[-1, 0].margins(x=0.01)
         figure.align_ylabels()
     return figure, Panels(panels)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...data.experiment import Experiment
 from ...sensitivities.linearised import Linearised
+from ...time_unit import TimeUnit
 from ..candidates.candidate import Candidate, Effect, added_by_centre
 from .confirmation import Confirmation, ConfirmationSettings, Found, Refitting, RefittingSettings
 from .evidence import Assessment, AssessmentSettings, is_physical
@@ -234,7 +235,9 @@ class Search:
             unexplained = None  # what is left passes for noise
         unexplained = unexplained or self.confirmation.ringing(current)
         left = self.cache.ringing(current) if not (unexplained and unexplained.ringing) else None
-        return self.concluded(current, unexplained, (_rest_rings(left.frequencies),) if left else ())
+        return self.concluded(
+            current, unexplained, (_rest_rings(left.frequencies, current.fit.model.time_unit),) if left else ()
+        )
 
     def _interrupted(self, current: Refit) -> SearchResult:
         """Return what had been accepted, by the evidence of that time: beside what came later it may be other."""
@@ -384,9 +387,9 @@ class Search:
         return ExtensionResult(final.fit.model, final.fit, final.names, gain)
 
 
-def _rest_rings(frequencies: Sequence[float]) -> str:
-    at = ", ".join(f"{f:.3g}" for f in frequencies)
+def _rest_rings(frequencies: Sequence[float], time: TimeUnit) -> str:
+    at = time.per(", ".join(f"{f:.3g}" for f in frequencies))
     return (
-        f"The remaining residuals ring at {at} Hz, a lightly damped mode of the model. Disturbances that excite the "
+        f"The remaining residuals ring at {at}, a lightly damped mode of the model. Disturbances that excite the "
         "mode cause this, and so does a missing term; noise at this frequency hides either."
     )

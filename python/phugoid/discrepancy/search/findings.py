@@ -9,9 +9,11 @@ import numpy as np
 
 from ...errors import joined
 from ...fit_result import FitResult
+from ...modelling.model import Model
+from ...time_unit import TimeUnit
 from ..candidates.candidate import Candidate
 from ..candidates.terms import where
-from ..misfit.phrases import number, per_second, percent
+from ..misfit.phrases import number, percent
 from . import SearchResult
 from .confirmation import Found
 from .disturbance import Disturbance
@@ -65,7 +67,7 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
             gain=found.gain,
             held_out_gain=found.held_out[0],
             threshold=found.threshold,
-            explanation=_rings(found.ringing) if found.ringing else _UNEXPLAINED,
+            explanation=_rings(found.ringing, result.final.fit.model.time_unit) if found.ringing else _UNEXPLAINED,
             advice=_AGAIN if found.ringing else "",
             rivals=dict(found.rivals),
             ringing=found.ringing,
@@ -130,10 +132,10 @@ def no_optimum(fit: FitResult, words: str, likelier: Sequence[Refit], seconds: f
     return DiagnosisResult(fit, (finding,), (), math.nan, notes, False, seconds, _extension=nothing)
 
 
-def _rings(frequencies: Sequence[float]) -> str:
-    at = ", ".join(f"{f:.3g}" for f in frequencies)
+def _rings(frequencies: Sequence[float], time: TimeUnit) -> str:
+    at = time.per(", ".join(f"{f:.3g}" for f in frequencies))
     return (
-        f"the residuals ring at {at} Hz, a lightly damped mode of the model: a term is missing, or disturbances "
+        f"the residuals ring at {at}, a lightly damped mode of the model: a term is missing, or disturbances "
         "excited the mode. Candidates halve the mean square on held-out data, but with noise at this frequency "
         "that does not prove any of them"
     )
@@ -160,7 +162,7 @@ def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Find
         gain=r.gain,
         held_out_gain=r.held_out,
         threshold=threshold,
-        explanation=_explanation(r),
+        explanation=_explanation(r, fit.model.time_unit),
         advice=_advice(r),
         rivals=dict(r.rivals),
         units={label: unit} if named and d.kind == "noise" else {},
@@ -175,9 +177,9 @@ def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Find
     )
 
 
-def finding_of_recorded_input(h: RecordedInput, threshold: float, unit: str) -> Finding:
-    """Return an input that acts otherwise than it is recorded as it is told; ``unit`` is the input's."""
-    nan = float("nan")
+def finding_of_recorded_input(h: RecordedInput, threshold: float, model: Model) -> Finding:
+    """Return an input that acts otherwise than it is recorded as it is told."""
+    nan, unit, time = float("nan"), model.units.get(h.name, ""), model.time_unit
     if h.kind == "noise":
         size = f"{number(h.noise, 3)}{f' {unit}' if unit else ''}"
         explanation = f"the record of {h.name} has noise of about {size} RMS, which does not act on the vehicle"
@@ -190,7 +192,7 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, unit: str) -> 
         which = " and ".join(c.names)
         were = "were" if len(c.names) > 1 else "was"
         rest = "outputs" if c.kind == "input" else "other channels"
-        begin, end = (f"{number(abs(x), 2)} s {'late' if x > 0.0 else 'early'}" for x in (c.late, c.until))
+        begin, end = (f"{number(abs(x), 2)} {time} {'late' if x > 0.0 else 'early'}" for x in (c.late, c.until))
         explanation = (
             f"{which} {were} recorded by another clock than the {rest}, {begin} at the beginning of a record and "
             f"{end} at the end of the longest one"
@@ -206,7 +208,7 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, unit: str) -> 
         advice = f"Give the records with interpolation={{'{h.name}': 'hold'}}; the rest of the search used this."
     label = h.cause.replace(":", "_")
     parameters = {label: (h.clock.rate, h.clock.error)} if h.clock is not None else {}
-    units = dict.fromkeys(parameters, "s/s")
+    units = dict.fromkeys(parameters, f"{time}/{time}")
     rate, error = parameters.get(label, (nan, nan))
     half = _INTERVAL * error
     return Finding(
@@ -247,18 +249,20 @@ def finding_of_unsigned_sensor(s: UnsignedSensor) -> Finding:
     )
 
 
-def finding_of_sensor_fault(f: SensorFault) -> Finding:
+def finding_of_sensor_fault(f: SensorFault, time: str) -> Finding:
     """Return a fault of an output's samples as it is told."""
     gone = f"{percent(f.part)} less mean square of its residuals without that"
     if f.kind == "stuck":
-        listed = [f"from {number(a, 4)} to {number(b, 4)} s of '{record}'" for record, a, b in f.spans]
+        listed = [f"from {number(a, 4)} to {number(b, 4)} {time} of '{record}'" for record, a, b in f.spans]
         words = f"{f.name} stays at one value {_first(listed, 'spans')}, though its noise changes it elsewhere; {gone}"
         advice = "Mark these samples as missing (NaN); the rest of the search excluded them."
     elif f.kind == "held":
-        words = f"{f.name} is renewed every {number(f.size, 3)} s, and each value is repeated until the next; {gone}"
+        words = (
+            f"{f.name} is renewed every {number(f.size, 3)} {time}, and each value is repeated until the next; {gone}"
+        )
         advice = "Mark the repeated values as missing (NaN); the rest of the search excluded them."
     else:
-        listed = [f"at {number(a, 4)} s of '{record}'" for record, a, _ in f.spans]
+        listed = [f"at {number(a, 4)} {time} of '{record}'" for record, a, _ in f.spans]
         turn = "360" if f.size > 10.0 else "2π"
         words = f"{f.name} jumps by a turn ({turn}) {_first(listed, 'places')}; {gone}"
         advice = f"Remove the jumps (numpy.unwrap with a period of {turn}); the rest of the search did so."
@@ -311,18 +315,18 @@ def finding_of_record_change(c: RecordChange) -> Finding:
 def _size(r: Remainder, fit: FitResult) -> tuple[float, float, str]:
     """Intensity of a disturbance, standard error and unit."""
     d = r.disturbance
-    unit = fit.model.units.get(d.place.name, "")
+    unit, time = fit.model.units.get(d.place.name, ""), fit.model.time_unit
     if r.filtered is not None:
-        per = f"{unit}/√s" if not r.filtered.tau else per_second(unit) if d.place.kind == "equation" else unit
+        per = f"{unit}/√{time}" if not r.filtered.tau else time.rate(unit) if d.place.kind == "equation" else unit
         return *r.filtered.intensity, (per if unit else "")
     # What the data say of each knot counts; the standard deviation of n values is known to 1 part in sqrt(2 n).
     known = float(np.sum(np.maximum(1.0 - d.marginal.deviations**2 / d.marginal.variance, 0.0)))
     value = d.intensity
     white = d.kind == "noise" and not d.correlation and d.place.kind == "equation"
-    return value, value / float(np.sqrt(2.0 * max(known, 1.0))), (f"{unit}/√s" if unit and white else unit)
+    return value, value / float(np.sqrt(2.0 * max(known, 1.0))), (f"{unit}/√{time}" if unit and white else unit)
 
 
-def _explanation(r: Remainder) -> str:
+def _explanation(r: Remainder, time: TimeUnit) -> str:
     d = r.disturbance
     at = f"{d.place.name}'" if d.place.kind == "equation" else d.place.name
     if d.place.kind == "state":
@@ -343,11 +347,11 @@ def _explanation(r: Remainder) -> str:
         assert d.span is not None
         record, begin, end = d.span
         name = r.at.linear.experiments[record].name
-        return f"a single disturbance acts on {at} from {number(begin, 4)} to {number(end, 4)} s of '{name}'"
+        return f"a single disturbance acts on {at} from {number(begin, 4)} to {number(end, 4)} {time} of '{name}'"
     if d.place.kind == "input":
         return f"the acting input differs at random from the recorded {at} (noise on a recorded input)"
     lasting = r.filtered.correlation if r.filtered is not None else d.correlation
-    slow = f", with a correlation time of about {number(lasting, 2)} s" if lasting else ""
+    slow = f", with a correlation time of about {number(lasting, 2)} {time}" if lasting else ""
     return f"a random disturbance acts on {at} (process noise, such as gusts or turbulence){slow}"
 
 

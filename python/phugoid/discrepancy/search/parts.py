@@ -109,7 +109,7 @@ def _windows(
             own = min(most // len(records) if one else length, stretch.size)
             sums = np.convolve(misfit[stretch], np.ones(own), mode="valid")
             first = int(stretch[0]) + int(np.argmax(sums))
-            name = f"{e.name} from {e.t[first]:.4g} s"
+            name = f"{e.name} from {e.t[first]:.4g}"
             pieces.append(e if own == e.n else e.window(e.t[first], e.t[first + own - 1], name=name))
         found.append(pieces)
     return found

@@ -104,7 +104,7 @@ def through_shaping_filter(model: Model, place: Place, tau: float) -> tuple[Mode
             acts = place.kind == "input" or key[0] == "quantity" or (key[0] == "equation" and not of_forces and e != x)
             if acts and place.name in e.symbols:
                 equations[key] = Expr(e.substitute({place.name: x + w}))
-    declared = Parameter(tau, bounds=(_SHORTER * tau, _LONGER * tau), unit="s", transform="log")
+    declared = Parameter(tau, bounds=(_SHORTER * tau, _LONGER * tau), unit=model.time_unit, transform="log")
     shaped = model._changed(
         parameters={time: declared},
         equations=equations,

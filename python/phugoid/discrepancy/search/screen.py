@@ -15,7 +15,7 @@ from ..._core import Expr
 from ...modelling.model import Model
 from ...residual_noise.whitening import Filter, Whitening
 from ..candidates.candidate import Candidate, Effect, is_function
-from ..candidates.model_structure import ANGLES, ANGULAR_RATES
+from ..candidates.model_structure import ANGLES
 from .refit import Refit, is_structured
 from .refit_cache import RefitCache
 from .scan import Scan, Statistics
@@ -65,7 +65,8 @@ def plausibility(candidate: Candidate, model: Model) -> tuple[int, int, str]:
     record alone.
     Among equals fewer unknowns come first, then the name."""
     place = candidate.place
-    rates = [n for n in getattr(candidate, "variables", ()) if model.units.get(n, "") in ANGULAR_RATES]
+    angular = model.time_unit.angular_rates
+    rates = [n for n in getattr(candidate, "variables", ()) if model.units.get(n, "") in angular]
     family = getattr(candidate, "family", "")
     lever = place.kind == "output" and family in ("linear", "rate") and len(rates) == 1
     lever = lever and not is_late(candidate, model)

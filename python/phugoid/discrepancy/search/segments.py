@@ -67,9 +67,10 @@ class Segments:
     @property
     def note(self) -> str:
         """The note for the user."""
+        length = self.base.fit.model.time_unit.of(f"{self.horizon:.3g}")
         return (
             "Over a whole record the simulation drifts away from the measurements. The records, and those held out, "
-            f"were simulated in segments of {self.horizon:.3g} s, each with initial states of its own."
+            f"were simulated in segments of {length}, each with initial states of its own."
         )
 
 
@@ -113,7 +114,7 @@ def _cut(e: Experiment, length: int) -> list[Experiment]:
     parts = np.array_split(np.arange(e.n), max(round(e.n / length), 1))
     if len(parts) == 1:
         return [e]
-    return [e.window(e.t[p[0]], e.t[p[-1]], name=f"{e.name} from {e.t[p[0]]:.4g} s") for p in parts]
+    return [e.window(e.t[p[0]], e.t[p[-1]], name=f"{e.name} from {e.t[p[0]]:.4g}") for p in parts]
 
 
 _Array = NDArray[np.float64]
@@ -147,7 +148,7 @@ class Thinned:
         """The note for the user."""
         return (
             f"The records are sampled much faster than the motion: the diagnosis uses means over {self.factor} "
-            f"samples, at {self.rate:.3g} Hz."
+            f"samples, at {self.rate:.3g} {self.base.fit.model.time_unit.frequency}."
         )
 
 

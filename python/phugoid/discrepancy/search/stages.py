@@ -299,7 +299,7 @@ def _without_stand_ins(state: Inquiry) -> Inquiry:
     return replace(state, result=result, remainder=remainder)
 
 
-def words_of_inputs(between: Sequence[RecordedInput], sampled: SampledInputs | None) -> list[str]:
+def words_of_inputs(between: Sequence[RecordedInput], sampled: SampledInputs | None, time: str) -> list[str]:
     """Return what was found of inputs between their samples, in words, but for those that are findings."""
     notes = [
         f"{b.name} is smooth between its samples: the search used cubic instead of linear interpolation "
@@ -310,7 +310,7 @@ def words_of_inputs(between: Sequence[RecordedInput], sampled: SampledInputs | N
     if sampled is not None:
         jumps = ", ".join(f"{name} in {count} intervals" for name, count in sampled.jumps.items())
         notes.append(
-            f"Inputs change faster than they were sampled ({jumps} of up to {sampled.step:.3g} s): their values at the "
-            "middle of these intervals were estimated, and the search used them. Record inputs at a higher rate."
+            f"Inputs change faster than they were sampled ({jumps} of up to {sampled.step:.3g} {time}): their values "
+            "at the middle of these intervals were estimated, and the search used them. Record inputs at a higher rate."
         )
     return notes

@@ -186,7 +186,7 @@ impl Transcribed for Collocation {
     fn path_constraint_name(&self, of: ConstraintPlace) -> String {
         let ConstraintPlace { experiment: e, row, state } = of;
         let (t, name) = (&self.meshes[e].times, &self.posed.state_names[state]);
-        format!("defect of {name} ending at t = {} s of '{}'", t[row + 1], self.posed.experiments[e].name)
+        format!("defect of {name} ending at t = {} of '{}'", t[row + 1], self.posed.experiments[e].name)
     }
 
     fn condition_name(&self, i: ConstraintId) -> String {

@@ -80,7 +80,7 @@ impl Estimation<'_> {
             if number >= self.passes || iterations >= self.solver.max_iterations {
                 let left = names.iter().map(|n| (fit[n].value - base[n]).abs()).fold(0.0, f64::max);
                 warning = Some(format!(
-                    "the delays still move by up to {left:.1e} s: where inputs bend sharply between samples, the \
+                    "the delays still move by up to {left:.1e}: where inputs bend sharply between samples, the \
                      likelihood is not smooth in a delay"
                 ));
                 break (fit, moved); // the base stays that of the fit
@@ -193,7 +193,7 @@ fn moved(
         let own: Vec<(f64, f64)> = own.filter(|(t, _)| first <= *t && *t <= last).collect();
         if own.iter().all(|(_, z)| z.is_nan()) {
             return Err(Error::data(format!(
-                "experiment '{}', output '{}': no sample is left with a delay of {by} s in a record of {} s",
+                "experiment '{}', output '{}': no sample is left with a delay of {by} in a record of length {}",
                 run.name,
                 output.name,
                 last - first

@@ -217,7 +217,7 @@ impl Fit {
         let place = if errors.len() > 1 { format!(" of '{}'", found.name) } else { String::new() };
         (worst > COARSE).then(|| {
             format!(
-                "the mesh is coarse: from {} to {} s{place} integration is wrong by {} times the noise, and estimates may \
+                "the mesh is coarse: from t = {} to {}{place} integration is wrong by {} times the noise, and estimates may \
                  be wrong with it: refinement (Collocation(refine=True), Estimation::refine) divides the mesh as needed",
                 short(found.edges[k], 4),
                 short(found.edges[k + 1], 4),
@@ -373,7 +373,7 @@ impl<'a> Flow<'a> {
         let bad = (0..columns[0].len()).find_map(|k| Some((k, f.iter().position(|f| !f[k].is_finite())?)));
         match bad {
             Some((k, i)) => Err(Error::evaluation(format!(
-                "experiment '{}': the equation of {}' is not finite at t = {} s on the collocation polynomial: the mesh is \
+                "experiment '{}': the equation of {}' is not finite at t = {} on the collocation polynomial: the mesh is \
                  too coarse there",
                 self.path.experiment.name,
                 self.path.model.states[i].name,

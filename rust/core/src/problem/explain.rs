@@ -25,7 +25,7 @@ impl Posed {
     ) -> Option<String> {
         let found = trace(&function.graph, roots, names)?;
         let mut text = format!(
-            "{what} not finite in experiment '{}' at t = {t} s: {} = {}",
+            "{what} not finite in experiment '{}' at t = {t}: {} = {}",
             self.experiments[e].name, found.expression, found.value
         );
         for (name, value) in &found.arguments {

@@ -416,7 +416,7 @@ impl Posed {
 
     /// The user's name for a state at a time.
     pub(crate) fn state_name(&self, state: StateId, t: f64, experiment: ExperimentId) -> String {
-        format!("{} at t = {t} s of '{}'", self.state_names[state], self.experiments[experiment].name)
+        format!("{} at t = {t} of '{}'", self.state_names[state], self.experiments[experiment].name)
     }
 
     /// Returns the name of a variable that is a parameter.

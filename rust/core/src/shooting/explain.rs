@@ -44,7 +44,7 @@ impl Shooting {
             });
             let why = slope.unwrap_or_else(|| "the solution grows without limit".into());
             found = Some(format!(
-                "the solution of '{name}' that starts at t = {start} s ceases to exist at t = {t} s: {why}"
+                "the solution of '{name}' that starts at t = {start} ceases to exist at t = {t}: {why}"
             ));
         });
         found

@@ -67,7 +67,7 @@ impl Transcribed for Shooting {
     fn path_constraint_name(&self, of: ConstraintPlace) -> String {
         let ConstraintPlace { experiment: e, row, state } = of;
         let (t, name) = (self.nodes[e][row + 1], &self.posed.state_names[state]);
-        format!("continuity of {name} at t = {t} s of '{}'", self.posed.experiments[e].name)
+        format!("continuity of {name} at t = {t} of '{}'", self.posed.experiments[e].name)
     }
 
     fn condition_name(&self, i: ConstraintId) -> String {

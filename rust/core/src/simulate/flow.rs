@@ -117,7 +117,7 @@ impl<'a> Flow<'a> {
                 let asked = !with_slopes && (!some[c] || !self.run.outputs[c][k].is_nan());
                 if asked && !outputs[c][k].is_finite() {
                     return Err(Error::evaluation(format!(
-                        "experiment '{}': the output '{}' of '{}' is {} at t = {} s",
+                        "experiment '{}': the output '{}' of '{}' is {} at t = {}",
                         self.run.name, self.model.outputs[c].name, self.model.name, outputs[c][k], t[k]
                     ))
                     .about(&self.run.name)
@@ -219,7 +219,7 @@ impl<'a> Flow<'a> {
     fn failure(&mut self, begin: f64, at: &Adaptive, lost: Lost, largest: &[f64]) -> Error {
         let x = &at.x;
         let text = format!(
-            "experiment '{}': the simulation of '{}' ends at t = {} s of {} s: ",
+            "experiment '{}': the simulation of '{}' ends at t = {} of {}: ",
             self.run.name,
             self.model.name,
             short(begin + at.t),
@@ -259,7 +259,7 @@ impl<'a> Flow<'a> {
         let place = if place.len() > 12 { place[..12].join(", ") + ", ..." } else { place.join(", ") };
         let wrong = slope.iter().position(|v| !v.is_finite()).unwrap_or(0);
         let name = &self.model.states[wrong].name;
-        format!("the equation of {name}' is not finite at t = {} s, {place}", short(t))
+        format!("the equation of {name}' is not finite at t = {}, {place}", short(t))
     }
 
     /// A state whose slope changes its sign across a change of the states, however small that is.

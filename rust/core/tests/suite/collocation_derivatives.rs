@@ -233,7 +233,7 @@ fn every_variable_and_constraint_has_its_own_name() {
     assert_eq!(problem.variable_name(VariableId(0)), "CL0");
     // States stand in the order in which they were declared, not that of their equations.
     let first = problem.variable_name(VariableId(problem.layout.n_theta));
-    assert_eq!(first, "V at t = 0.3 s of 'run 0'");
+    assert_eq!(first, "V at t = 0.3 of 'run 0'");
     let last = problem.constraint_name(ConstraintId(problem.m() - 1));
     assert!(last.starts_with("defect of q ending at") && last.ends_with("of 'run 1'"), "{last}");
 }

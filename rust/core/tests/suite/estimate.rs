@@ -194,7 +194,7 @@ fn a_model_that_is_not_finite_at_the_start_is_an_error() {
     let run = Experiment::new(&m, "run", vec![0.0, 0.1, 0.2], [("x", vec![1.0, 1.1, 1.2])]).unwrap();
     assert_error(
         Estimation::new(&m, &[run]).solve(),
-        &["at the starting point", "x'", "sqrt", "t = 0 s", "'run'"],
+        &["at the starting point", "x'", "sqrt", "t = 0", "'run'"],
     );
 }
 

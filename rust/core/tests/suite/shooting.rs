@@ -95,7 +95,7 @@ fn a_solution_that_ceases_to_exist() {
     let runs = [Experiment::new(&m, "run", t, [("x", z)]).unwrap()];
     let error = Estimation::new(&m, &runs).shooting(Shots::default()).solve().unwrap_err().to_string();
     assert!(
-        error.contains("the solution of 'run' that starts at t = 0 s ceases to exist at t = "),
+        error.contains("the solution of 'run' that starts at t = 0 ceases to exist at t = "),
         "{error}"
     );
     let time: f64 = error.split("at t = ").nth(2).unwrap().split(' ').next().unwrap().parse().unwrap();

@@ -147,7 +147,7 @@ fn what_cannot_be_simulated_is_named() {
     assert_error(with(f64::NAN), &["'tau' is NaN"]);
     assert_error(with(1.0).initial("z", 0.0), &["initial 'z' is not a state"]);
     assert_error(with(1.0).tolerance(0.0), &["tolerance 0"]);
-    assert_error(with(0.0).initial("x", 1.0), &["x' is not finite", "'run'", "t = 0 s", "u = 0"]);
+    assert_error(with(0.0).initial("x", 1.0), &["x' is not finite", "'run'", "t = 0,", "u = 0"]);
     // Finite until it is no more: x grows by e^100 a second.
     assert_error(with(-0.01).initial("x", 1e300), &["'run'", "ends at t ="]);
     let mut rate = run.clone();

@@ -193,7 +193,7 @@ def test_a_regression_is_for_collocation() -> None:
         ({"integrator": "rk5"}, "integrator is one of euler, heun, kutta, rk4, dopri5, not 'rk5'"),
         ({"substeps": 0}, "substeps is a whole number from 1"),
         ({"steps": 2.5}, "steps is a whole number from 1"),
-        ({"step": -0.1}, "step is a positive number of seconds"),
+        ({"step": -0.1}, "step is a positive number, not -0.1"),
         ({"step": 0.1, "steps": 3}, "give one"),
         ({"step": 0.1, "substeps": 2}, "give one"),
         ({"threads": -1}, "threads is a whole number from 0"),

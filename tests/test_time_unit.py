@@ -135,11 +135,11 @@ def test_rates_are_known_by_the_unit_of_time(time: str, unit: str) -> None:
 
 def test_files_are_read_in_the_unit_of_the_model(tmp_path: Path) -> None:
     file = tmp_path / "log.csv"
-    file.write_text("t [min],power,outside,theta\n" + "".join(f"{60 * k},{k % 2},1,{k % 3}\n" for k in range(6)))
+    file.write_text("t [min],power,outside,theta\n" + "".join(f"{60 * k},{k % 2},1,{k % 3}\n" for k in range(101)))
     hours, seconds = ph.read(file, time_unit="h"), ph.read(file)
-    np.testing.assert_allclose(hours.t, np.arange(6.0))
-    np.testing.assert_allclose(seconds.t, 3600.0 * np.arange(6.0))
-    assert "0 to 5 h" in repr(hours) and "0 to 18000 s" in repr(seconds) and "0 to 71.75, " in repr(record())
+    np.testing.assert_allclose(hours.t, np.arange(101.0))
+    np.testing.assert_allclose(seconds.t, 3600.0 * np.arange(101.0))
+    assert "0 to 100 h" in repr(hours) and "0 to 360000 s" in repr(seconds) and "0 to 71.75, " in repr(record())
     assert hours.units["time"] == "h" and hours.low_pass(0.2).history[0].startswith("low-pass 0.2 1/h")
     with pytest.raises(ph.DataError, match="times of experiment 'log' are in 's', but the model has time in 'h'"):
         ph.estimate(house(), seconds)

@@ -116,7 +116,8 @@ def histories(record: Record, sigmas: Mapping[str, float] = {}, first: str = "")
     for name in record.inputs:
         lines = [[f"u {name}", "input", kind_of(record.interpolation, name) == "hold"]]
         panels.append({"title": labelled(name, record.units), "lines": lines, "residual": None, "band": 0.0})
-    note = "Drag over a stretch of time to look closer; point at a sample to read it."
+    unit = time_unit_of(record.units)
+    note = f"Time in {unit}. Drag over a stretch of time to look closer; point at a sample to read it."
     if each > 1:
         note += f" One sample of {each} is drawn."
     return {
@@ -128,7 +129,7 @@ def histories(record: Record, sigmas: Mapping[str, float] = {}, first: str = "")
         "first": f"r {first}",
         "over": variables[:2],
         "note": note,
-        "unit": time_unit_of(record.units),
+        "unit": unit,
     }
 
 

@@ -209,7 +209,7 @@ class _Shooting:
             object.__setattr__(self, name, whole(f"{what}: {name}", value, least))
             limit(what, name, value)
         if self.step is not None:
-            object.__setattr__(self, "step", positive(f"{what}: step", self.step, "seconds"))
+            object.__setattr__(self, "step", positive(f"{what}: step", self.step))
         if (self.substeps != 1) + (self.step is not None) + (self.steps is not None) > 1:
             raise OptionError(f"{what}: substeps, step and steps are three ways to say the same; give one")
 

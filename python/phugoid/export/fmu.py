@@ -52,8 +52,9 @@ def export_fmu(
     derivatives are exact; the state can be saved and restored.
 
     ``parameters``, ``experiment``  as in `linearise`.
-    ``step``    longest Runge-Kutta step (order 4) of co-simulation in s; else a tenth of the shortest sampling
-                interval, 0.01 s without a fit.
+    ``step``    longest Runge-Kutta step (order 4) of co-simulation; else a tenth of the shortest sampling
+                interval, 0.01 without a fit. The unit's time is that of the model: 1 is 1 h where the model has time in
+                h, though importing programs write s.
     ``late_inputs``  of a model with delays: take each late input, u(t - tau), as an input of its own, which the
                 importing program delays (a transport delay before the input), and leave delays of sensors to it too;
                 the descriptions of these variables say so.
@@ -70,7 +71,7 @@ def export_fmu(
     if step is None:
         gaps = [float(np.diff(r.t).min()) for r in fit.records] if isinstance(fit, FitResult) else []
         step = min(gaps) / _PARTS if gaps else _STEP
-    step = positive("export_fmu: step", step, "seconds")
+    step = positive("export_fmu: step", step)
     name = identifier(contents.model.name)
     name = f"{name}_" if name.startswith("fmi2") else name  # as the wrapper's files are called
     code = source(contents, name)

@@ -140,7 +140,7 @@ class Model:
         return Declared(symbols)
 
     def delay(self, input: Expr, by: Expr, name: str | None = None) -> Expr:
-        """Return the symbol of the delayed input u(t - tau), with ``by`` the parameter tau (s), which is estimated.
+        """Return the symbol of the delayed input u(t - tau), with ``by`` the parameter tau, which is estimated.
 
         ``name`` names the symbol, ``<input>_delayed`` unless given. Before the first sample the input is taken as
         constant. A delay below zero is a lead.
@@ -154,7 +154,7 @@ class Model:
 
     def sensor_delay(self, **by: Expr) -> None:
         """Declare that outputs are measured with a delay, z(t) = y(t - tau): ``sensor_delay(alpha=tau)``, tau a
-        parameter (s)."""
+        parameter."""
         for output, tau in by.items():
             if output not in self.output_names:
                 hint = did_you_mean(output, self.output_names)

@@ -332,7 +332,7 @@ class Experiment(Preprocessing):
 
         >>> run = Experiment([0.0, 0.1, 0.2], inputs={"de": [0, 1, 1]}, outputs={"q": [0.0, 0.1, 0.2]})
         >>> run.with_channels({"V": [100, 101, 102], "q": run.output("q") - 0.1})
-        Experiment('experiment', 3 samples, 0 to 0.2 s, inputs: de, outputs: q, channels: V)
+        Experiment('experiment', 3 samples, 0 to 0.2, inputs: de, outputs: q, channels: V)
         """
 
         def replaced(group: Mapping[str, FloatArray]) -> dict[str, ArrayLike]:

@@ -36,7 +36,7 @@ def multirate(
 
     >>> fast, slow = np.linspace(0, 1, 5), np.linspace(0, 1, 3)
     >>> multirate({"de": (slow, [0, 1, 0])}, {"q": (fast, fast**2), "alpha": (slow + 0.1, slow)})
-    Experiment('experiment', 7 samples, 0 to 1 s, inputs: de, outputs: q alpha (7 missing))
+    Experiment('experiment', 7 samples, 0 to 1, inputs: de, outputs: q alpha (7 missing))
     """
     inputs, outputs = inputs or {}, outputs or {}
     if not outputs:

@@ -31,6 +31,7 @@ from ...fit_result import FitResult
 from ...records import Record
 from ...residual_noise import Series, autocorrelation_of, channel_series
 from ...residual_noise.autoregression import spectrum_of
+from ...time_unit import time_unit_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,9 +102,9 @@ def plot_residuals(
             else:
                 _draw_autocorrelation(axes[f"{name} autocorrelation"], series[0])
                 _draw_spectrum(
-                    axes[f"{name} spectrum"], series[0], squared(chosen.units.get(name, ""), fit.model.time_unit)
+                    axes[f"{name} spectrum"], series[0], squared(chosen.units.get(name, ""), time_unit_of(chosen.units))
                 )
-        time = fit.model.time_unit
+        time = time_unit_of(chosen.units)
         labels = {"": time.axis(), " autocorrelation": time.axis("lag"), " spectrum": f"frequency, {time.frequency}"}
         for what, text in labels.items():
             axes[f"{names[-1]}{what}"].set_xlabel(plain(text))

@@ -342,10 +342,7 @@ impl Experiment {
             }
             let wrong = |v: &f64| if is_input { !v.is_finite() } else { v.is_infinite() };
             if let Some(i) = channel.iter().position(wrong) {
-                return fail(format!(
-                    "channel '{name}' is {} at t = {} (sample {i})",
-                    channel[i], self.t[i]
-                ));
+                return fail(format!("channel '{name}' is {} at t = {} (sample {i})", channel[i], self.t[i]));
             }
         }
         Ok(())

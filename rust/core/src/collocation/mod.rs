@@ -72,8 +72,8 @@ impl Settings {
 /// let settings = Settings::default().order(2).grid(vec![Grid::Samples(1)]).threads(1);
 /// let problem = Collocation::new(&m, &[run], noise, &settings)?;
 /// assert_eq!((problem.n(), problem.m()), (4, 2)); // the slope and x at three points; two defects
-/// assert_eq!(problem.variable_name(VariableId(2)), "x at t = 1 s of 'run'");
-/// assert_eq!(problem.constraint_name(ConstraintId(0)), "defect of x ending at t = 1 s of 'run'");
+/// assert_eq!(problem.variable_name(VariableId(2)), "x at t = 1 of 'run'");
+/// assert_eq!(problem.constraint_name(ConstraintId(0)), "defect of x ending at t = 1 of 'run'");
 ///
 /// let xi = [2.0, 1.0, 3.0, 5.0]; // slope 2 from 1 on: the equation holds, one residual is 0.1
 /// let mut defects = [f64::NAN; 2];

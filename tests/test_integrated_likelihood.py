@@ -64,7 +64,7 @@ def test_fits_on_meshes_that_follow_the_motion_are_compared() -> None:
     fit = ph.estimate(oscillator(), e, noise=ph.Gaussian({"z": SIGMA}), solver=ph.Newton(restarts=0))
     assert fit.integrated_log_likelihood == pytest.approx(by_hand(fit, e), abs=1e-4)
     assert fit.log_likelihood == pytest.approx(by_hand(fit, e), abs=0.1)
-    assert "integrated" not in fit.message
+    assert not any("integrated" in w for w in fit.warnings)
 
 
 def test_a_given_mesh_that_is_too_coarse_is_compared() -> None:
@@ -74,7 +74,17 @@ def test_a_given_mesh_that_is_too_coarse_is_compared() -> None:
     assert fit.status == "converged"
     assert fit.integrated_log_likelihood == pytest.approx(by_hand(fit, e), abs=1e-4)
     assert fit.log_likelihood > fit.integrated_log_likelihood + 100
-    assert "the mesh is too coarse for this path" in fit.message
+    assert any("the mesh is too coarse for this path" in w for w in fit.warnings)
+    assert "the mesh is too coarse for this path" in fit.summary()
+
+
+def test_a_mesh_that_may_be_refined_follows_the_motion_where_the_integrated_model_differs() -> None:
+    e = record()
+    mesh = ph.Collocation(substeps=8, order=2, refine=True)
+    fit = ph.estimate(oscillator(0.5, 1.5), e, noise=ph.Gaussian({"z": SIGMA}), transcription=mesh)
+    assert fit.status == "converged"
+    assert fit.log_likelihood == pytest.approx(by_hand(fit, e), abs=0.1)
+    assert not any("integrated" in w for w in fit.warnings)
 
 
 def test_it_is_saved(tmp_path: Path) -> None:

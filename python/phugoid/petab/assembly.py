@@ -173,7 +173,7 @@ _LONGEST = 1e12
 # A rest is so many times longer than the model takes at the parameters at hand, since at others it is slower. Where a
 # state still moves by more than this part of its size between points of the mesh that are so far apart, it is too
 # short.
-_LONGER = 100.0
+_LONGER = 1e4
 _MOVES = 1e-5
 _APART = 2
 

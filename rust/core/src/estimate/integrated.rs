@@ -3,12 +3,14 @@
 use std::time::{Duration, Instant};
 
 use super::fit::Fit;
+use super::motion::FINEST;
 use super::print::short;
+use super::run::Watch;
 use super::{Estimation, Transcription};
 use crate::collocation::{self, Collocation};
 use crate::error::{Error, ErrorKind};
 use crate::experiment::Experiment;
-use crate::interrupt::Interrupt;
+use crate::interrupt::{Interrupt, current};
 use crate::mesh::Grid;
 use crate::nlp::Nlp;
 use crate::problem::Transcribed;
@@ -47,31 +49,52 @@ impl Estimation<'_> {
         let known = found.is_ok() || began.elapsed() < self.time_for_integration();
         fit.integrated = known.then(|| found.as_ref().copied().unwrap_or(f64::NAN));
         let path = fit.log_likelihood;
-        let text = match found {
-            Err(e) if !fit.feasible || e.kind() == ErrorKind::Data => return,
-            Err(e) => format!(
+        match found {
+            Err(e) if !fit.feasible || e.kind() == ErrorKind::Data => {}
+            Err(e) => fit.warnings.push(format!(
                 "the log-likelihood is that of the path on the mesh; whether the path is a solution is not known, since the \
                  model could not be integrated with these estimates ({e})"
-            ),
-            Ok(found) if !fit.feasible => format!(
-                "the model integrated with these estimates has the log-likelihood {}",
-                short(found, 6)
-            ),
-            Ok(found) if (found - path).abs() <= DIFFERENT => return,
+            )),
+            Ok(found) if !fit.feasible => {
+                let text = "the model integrated with these estimates has the log-likelihood";
+                fit.message = format!("{}; {text} {}", fit.message, short(found, 6));
+            }
+            Ok(found) if (found - path).abs() <= DIFFERENT => {}
             Ok(found) => {
                 if fit.status.is_end() && self.follows_motion() && (found - path).abs() > WRONG {
                     let status = Status::IterationLimit;
                     (fit.status, fit.message) = (status, status.hint().into());
                 }
-                format!(
+                fit.warnings.push(format!(
                     "the model integrated with these estimates has the log-likelihood {}, and not {} as the path on the mesh: the \
                      mesh is too coarse for this path, or the motion too unstable to be integrated over the record",
                     short(found, 6),
                     short(path, 6)
-                )
+                ));
             }
+        }
+    }
+
+    /// Estimates again on a finer mesh along the motion where the model integrated with the estimates has another
+    /// log-likelihood than the path, and the mesh is one that may be refined.
+    pub(super) fn refine_along_the_motion(&self, fit: &mut Fit, watch: &mut Watch<'_>) -> Result<(), Error> {
+        let Some(integrated) = fit.integrated else { return Ok(()) };
+        let differs = (integrated - fit.log_likelihood).abs() > DIFFERENT;
+        let may_refine = self.refine.is_some() || self.follows_motion();
+        if !differs || !may_refine || fit.status.was_stopped() || current().stops() {
+            return Ok(());
+        }
+        let Some(mut finer) = self.along_the_motion(&fit.values(), f64::NEG_INFINITY, FINEST, watch)? else {
+            return Ok(());
         };
-        fit.message = format!("{}; {text}", fit.message);
+        self.compare_with_integration(&mut finer);
+        if finer.integrated.is_some_and(|l| l > integrated - DIFFERENT) {
+            finer.iterations += fit.iterations;
+            finer.solution.time += fit.solution.time;
+            finer.refinement = fit.refinement.take();
+            *fit = finer;
+        }
+        Ok(())
     }
 
     /// Returns the log-likelihood of the model integrated with the estimates of a fit, also where the time of the estimation is
@@ -96,7 +119,8 @@ impl Estimation<'_> {
         if self.outside.stops() { LEAST } else { part.clamp(LEAST, LONGEST) }
     }
 
-    fn integrated(&self, fit: &Fit, tolerance: f64, method: Method) -> Result<f64, Error> {
+    /// Returns the log-likelihood of the model integrated with the estimates of a fit by one method.
+    pub(super) fn integrated(&self, fit: &Fit, tolerance: f64, method: Method) -> Result<f64, Error> {
         // Kinks are integrated as they are.
         let (model, experiments) = (self.model, self.experiments);
         let path =

@@ -15,7 +15,7 @@ use crate::experiment::{Experiment, Signal};
 use crate::interrupt::current;
 use crate::mesh::Grid;
 use crate::simulate::Simulation;
-use crate::solver::Status;
+use crate::solver::{Control, Status};
 
 /// Most steps in a record, and most time of an integration.
 const MOST: usize = 2_000;
@@ -28,7 +28,7 @@ const MOVES: usize = 8;
 /// Divides the local error of the segments where an end does not suit; its square root does so during a run.
 const FINER: f64 = 16.0;
 /// Limits the local error from below.
-const FINEST: f64 = 1e-9;
+const LEAST: f64 = 1e-9;
 /// A mesh suits where outputs differ from those of an integration by less than this part of the residuals.
 const SUITS: f64 = 0.01;
 /// Bounds that difference beyond which a mesh says nothing of the likelihood.
@@ -62,6 +62,8 @@ pub(super) struct Accuracy {
 pub(super) const SEARCH: Accuracy = Accuracy { tolerance: 1e-6, local: 1e-3, thorough: false };
 /// Holds for the last run.
 pub(super) const FINAL: Accuracy = Accuracy { tolerance: 1e-7, local: 1e-4, thorough: true };
+/// For an end that the integration has found wrong.
+pub(super) const FINEST: Accuracy = Accuracy { tolerance: 1e-9, local: 1e-6, thorough: true };
 
 /// A simulation of one experiment: its motion, and outputs at the samples.
 pub(super) struct Simulated {
@@ -144,12 +146,17 @@ impl Estimation<'_> {
         let order = self.transcription.collocation().order;
         let mut local = accuracy.local;
         let mut at = values.clone();
-        let (mut fit, mut sound): (Option<Fit>, Option<Fit>) = (None, None);
+        let mut fit: Option<Fit> = None;
+        // The best end so far whose likelihood is known, and minus its objective; and an end whose path is none, which the next run tells.
+        let (mut sound, mut unknown): (Option<(Fit, f64)>, Option<Fit>) = (None, None);
         let (mut iterations, mut time, mut divisions, mut astray) = (0, Duration::ZERO, 0, 0);
         let mut runs = self.simulated(&at, accuracy.tolerance);
         let mut last = false;
         for number in 0..=MOVES {
             last |= number == MOVES;
+            if runs.is_none() {
+                unknown = None;
+            }
             let (grid, paths): (Vec<Grid>, Vec<Path>) = match (runs.take(), &fit) {
                 (Some(runs), _) => {
                     let one = |(run, found): (&Experiment, Simulated)| {
@@ -176,28 +183,45 @@ impl Estimation<'_> {
             if !last {
                 pass.solver.max_iterations = pass.solver.max_iterations.min(ITERATIONS);
             }
-            let found = match pass.solve_passes(watch) {
+            // A run begins with a path of the parameters with which the last one ended, on a mesh that suits them.
+            let (mut begins, mut lost) = (None, false);
+            let least = sound.as_ref().map_or(f64::NEG_INFINITY, |kept| kept.1 - LOST);
+            let found = pass.solve_passes(&mut |line| {
+                begins.get_or_insert(-line.objective);
+                lost = unknown.is_some() && begins.is_some_and(|l| l < least);
+                if lost { Control::Stop } else { watch(line) }
+            });
+            let found = match found {
                 Err(e) if e.kind() == ErrorKind::Evaluation => break,
                 found => found?,
             };
             iterations += found.iterations;
             time += found.solution.time;
-            let stopped = found.status.was_stopped();
+            if let (Some(before), Some(l)) = (unknown.take(), begins.filter(|_| !lost)) {
+                if sound.as_ref().is_none_or(|kept| l > kept.1) {
+                    sound = Some((before, l));
+                }
+            }
+            let stopped = found.status.was_stopped() && !lost;
             at = found.values();
-            runs = if stopped && sound.is_none() { None } else { self.simulated(&at, accuracy.tolerance) };
+            runs = if lost || stopped && sound.is_none() {
+                None
+            } else {
+                self.simulated(&at, accuracy.tolerance)
+            };
             let off = runs.as_ref().map_or(f64::INFINITY, |runs| found.departure(runs));
-            let reached = found.log_likelihood;
+            let (reached, value) = (found.log_likelihood, -found.solution.objective);
             // Where the time is over, no other mesh follows that could confirm this one.
-            let behind_when_cut = |kept: &Fit| {
+            let behind_when_cut = |kept: f64| {
                 let integrated = self.integrated_log_likelihood(&found).unwrap_or(f64::NEG_INFINITY);
-                off > FAR && (integrated.is_nan() || integrated < kept.log_likelihood)
+                off > FAR && (integrated.is_nan() || integrated < kept)
             };
-            let is_lost = |kept: &Fit| {
-                !found.feasible
-                    || off <= FAR && reached < kept.log_likelihood - LOST
-                    || stopped && behind_when_cut(kept)
+            let is_lost = |kept: &&(Fit, f64)| {
+                lost || !found.feasible
+                    || off <= FAR && value < kept.1 - LOST
+                    || stopped && behind_when_cut(kept.1)
             };
-            if let Some(kept) = sound.as_ref().filter(|kept| is_lost(kept)) {
+            if let Some((kept, _)) = sound.as_ref().filter(is_lost) {
                 astray += 1;
                 let mut back = kept.clone();
                 if stopped {
@@ -209,7 +233,7 @@ impl Estimation<'_> {
                 }
                 at = kept.values();
                 runs = self.simulated(&at, accuracy.tolerance);
-                local = (local / FINER).max(FINEST);
+                local = (local / FINER).max(LEAST);
                 continue;
             }
             let unfinished = is_unfinished(found.status);
@@ -219,8 +243,10 @@ impl Estimation<'_> {
                     let gain = reached - before;
                     gain.is_nan() || gain <= RATE * (best - reached)
                 });
-            if off <= FAR && sound.as_ref().is_none_or(|kept| reached > kept.log_likelihood) {
-                sound = Some(found.clone());
+            if off > FAR {
+                unknown = Some(found.clone());
+            } else if sound.as_ref().is_none_or(|kept| value > kept.1) {
+                sound = Some((found.clone(), value));
             }
             fit = Some(found);
             if last || stopped || behind || unfinished && slow && !accuracy.thorough {
@@ -228,12 +254,12 @@ impl Estimation<'_> {
             }
             last = unfinished && slow;
             if !unfinished {
-                if off <= SUITS || local < FINEST {
+                if off <= SUITS || local < LEAST {
                     break;
                 }
                 local /= FINER;
             } else if off > FAR {
-                local = (local / FINER.sqrt()).max(FINEST);
+                local = (local / FINER.sqrt()).max(LEAST);
             } else if off < SUITS {
                 local = accuracy.local.min(2.0 * local);
             }

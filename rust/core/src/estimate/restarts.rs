@@ -9,6 +9,7 @@ use super::run::Watch;
 use super::search::Search;
 use crate::error::Error;
 use crate::interrupt::current;
+use crate::simulate::Method;
 use crate::solver::Status;
 
 /// Restarts in a row that bring no more than this in log-likelihood, before two for each parameter are added; fewer where so many
@@ -54,7 +55,7 @@ impl Estimation<'_> {
             }
         }
         let cut = search.is_stopped();
-        let Search { mut fit, mut iterations, mut time, without, again, .. } = search;
+        let Search { mut fit, likelihood, mut iterations, mut time, without, again, .. } = search;
         if cut && restarts > 0 && fit.status.is_end() {
             fit.message = format!(
                 "{}; the search for better optima was cut after {without} restarts without a gain: there may be better ones",
@@ -63,7 +64,10 @@ impl Estimation<'_> {
         }
         if !self.goes_on() && !fit.status.was_stopped() && !current().stops() {
             let last = self.along_the_motion(&fit.values(), f64::NEG_INFINITY, FINAL, watch)?;
-            if let Some(last) = last.filter(|last| last.status != Status::TimeLimit) {
+            // On a finer mesh a run may lose its way, too.
+            let sound =
+                |last: &Fit| last.status != Status::TimeLimit && self.likelihood(last) > likelihood - SAME;
+            if let Some(last) = last.filter(sound) {
                 iterations += last.iterations;
                 time += last.solution.time;
                 fit = last;
@@ -141,11 +145,11 @@ impl Estimation<'_> {
         };
         search.iterations += other.iterations;
         search.time += other.solution.time;
-        if other.status == Status::Interrupted {
+        let reached = self.likelihood(&other);
+        if other.status == Status::Interrupted && reached <= search.likelihood {
             (search.fit.status, search.fit.message) = (other.status, other.message);
             return Ok(());
         }
-        let reached = self.likelihood(&other);
         if reached > search.likelihood + GAIN {
             search.again = usize::from(reached - search.likelihood < SAME);
             (search.fit, search.likelihood, search.without) = (other, reached, 0);
@@ -166,22 +170,24 @@ impl Estimation<'_> {
         self.earlier.as_ref().is_some_and(|e| e.near)
     }
 
-    /// Returns the log-likelihood of an end whose path is that of the integration with its parameters, else -∞.
+    /// Returns the log-likelihood of an end, of the integrated model where the path is not that of the integration; -∞ where
+    /// there is none.
     ///
-    /// A path on a mesh that is too coarse may cross a pole of the solution, or miss a fast motion.
+    /// A path on a mesh that is too coarse may miss a fast motion.
     pub(super) fn likelihood(&self, fit: &Fit) -> f64 {
         if !fit.feasible {
             return f64::NEG_INFINITY;
         }
-        if current().stops() {
-            return self
-                .integrated_log_likelihood(fit)
-                .ok()
-                .filter(|l| l.is_finite())
-                .unwrap_or(f64::NEG_INFINITY);
-        }
-        let runs = self.simulated(&fit.values(), SEARCH.tolerance);
-        let known = runs.is_some_and(|runs| fit.departure(&runs) <= FAR);
-        if known { fit.log_likelihood } else { f64::NEG_INFINITY }
+        let integrated = if current().stops() {
+            self.integrated_log_likelihood(fit)
+        } else if self
+            .simulated(&fit.values(), SEARCH.tolerance)
+            .is_some_and(|runs| fit.departure(&runs) <= FAR)
+        {
+            return fit.log_likelihood;
+        } else {
+            self.integrated(fit, SEARCH.tolerance, Method::Automatic)
+        };
+        integrated.ok().filter(|l| l.is_finite()).unwrap_or(f64::NEG_INFINITY)
     }
 }

@@ -40,9 +40,12 @@ impl Estimation<'_> {
         self.solver.check()?;
         let within = Estimation { outside: current(), ..self.clone() };
         // All passes share the time.
-        let mut fit = Interrupt::within(self.solver.time_limit).run(|| within.solve_all(&mut watch))?;
-        self.compare_with_integration(&mut fit);
-        Ok(fit)
+        Interrupt::within(self.solver.time_limit).run(|| {
+            let mut fit = within.solve_all(&mut watch)?;
+            within.compare_with_integration(&mut fit);
+            within.refine_along_the_motion(&mut fit, &mut watch)?;
+            Ok(fit)
+        })
     }
 
     /// The fit, made again where it ended for a reason that another way to it may mend.

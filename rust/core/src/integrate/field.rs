@@ -1,5 +1,6 @@
 //! The state equations with numbers put in, along the inputs of a record: slopes and their derivatives at a point.
 
+use super::poles::divisors;
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
@@ -57,6 +58,10 @@ pub(crate) struct Field<'a> {
     roots: Vec<Id>,
     dynamics: Kernel,
     outputs: Kernel,
+    /// Divisors of the slopes, where there are any.
+    divisors: Option<Kernel>,
+    /// Those of which a step has come to a pole.
+    pub poles: Vec<usize>,
     /// Made when it is needed: the derivatives, with their rows and columns.
     jacobian: Option<(Kernel, Vec<usize>, Vec<usize>)>,
     workspace: Workspace,
@@ -71,13 +76,17 @@ pub(crate) struct Field<'a> {
 
 impl<'a> Field<'a> {
     pub fn new(model: &Model, inputs: Vec<Input<'a>>, parameters: &'a [f64]) -> Result<Field<'a>, Error> {
-        let c = model.compile()?;
-        let lanes = c.data.iter().chain(&c.states).copied().collect();
+        let mut c = model.compile()?;
+        let lanes: Vec<Id> = c.data.iter().chain(&c.states).copied().collect();
+        let divisors = divisors(&mut c.graph, &c.dynamics, &lanes);
         let symbols = Inputs { lanes, uniforms: c.parameters };
+        let kernel = |roots: &[Id]| Kernel::new(&c.graph, &symbols, roots, parameters);
         Ok(Field {
             parameters,
-            dynamics: Kernel::new(&c.graph, &symbols, &c.dynamics, parameters)?,
-            outputs: Kernel::new(&c.graph, &symbols, &c.outputs, parameters)?,
+            dynamics: kernel(&c.dynamics)?,
+            outputs: kernel(&c.outputs)?,
+            divisors: if divisors.is_empty() { None } else { Some(kernel(&divisors)?) },
+            poles: Vec::new(),
             jacobian: None,
             workspace: Workspace::default(),
             point: vec![0.0; 1 + inputs.len() + c.states.len()],
@@ -154,6 +163,15 @@ impl<'a> Field<'a> {
             self.bad = Some((self.point[0], self.point.clone(), out.to_vec()));
         }
         finite
+    }
+
+    /// The divisors of the slopes; none where nothing is divided.
+    pub fn divisors_at(&mut self, after: f64, x: &[f64]) -> Option<Vec<f64>> {
+        self.divisors.as_ref()?;
+        self.point(after, x);
+        let (kernel, mut found) = (self.divisors.as_ref()?, Vec::new());
+        kernel.run(&self.point, &mut self.workspace, |_, v| found.push(v));
+        Some(found)
     }
 
     /// The derivatives of the slope with respect to the states, row-major; whether they are finite.

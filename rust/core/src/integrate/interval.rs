@@ -114,7 +114,11 @@ impl Adaptive {
             let last = self.step >= left * (1.0 - 1e-12);
             let h = if last { left } else { self.step };
             let to = if last { length } else { self.t + h };
-            let error = self.try_step(field, h);
+            let mut error = self.try_step(field, h);
+            if error.is_some_and(|e| e <= 1.0) {
+                let next = if self.stiff { &self.implicit.next } else { &self.explicit.next };
+                error = error.filter(|_| !field.has_pole_between((self.t, h), &self.x, next));
+            }
             // The implicit method's error is that of a method of order 3.
             let order = if self.stiff { 4.0 } else { 8.0 };
             let Some(error) = error.filter(|e| *e <= 1.0) else {

@@ -388,9 +388,7 @@ class Catalogue:
         )
         shows = [v for v in self.structure.variables if v.symbol in at_once]
         if any(self.structure.is_position(v) or (shows == [v] and self.structure.is_angle(v)) for v in shows):
-            words = (
-                f"the sensor of {y} has backlash: after a reversal it stays within a play of ± the estimate"
-            )
+            words = f"the sensor of {y} has backlash: after a reversal it stays within a play of ± the estimate"
             key = (output_key(y),)
             yield Backlash(
                 f"{shown}:backlash",

@@ -61,7 +61,8 @@ impl Watchdog {
         }
         let lost = trial.objective - self.back.objective;
         let usual = if promise.gain < near { 0.03 } else { 1.0 };
-        let sane = trial.worst <= ASTRAY * self.back.worst.max(usual) && lost <= LOST * promise.gain.max(near);
+        let sane =
+            trial.worst <= ASTRAY * self.back.worst.max(usual) && lost <= LOST * promise.gain.max(near);
         sane && self.age < self.patience
     }
 

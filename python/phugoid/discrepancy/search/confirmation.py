@@ -129,7 +129,8 @@ class ConfirmationSettings:
     left     times as much of the misfit that a term may leave that stands in place of one with more unknowns.
     alias    part of what a cause explains that a rival explains, too, be it clearly less in free simulation.
     noise    part of the residuals' power that their past predicts, below which they pass for noise.
-    beyond   log-likelihood by which a rival that acts alike to first order may be behind where they do.
+    beyond   log-likelihood by which a rival that acts alike to first order may be behind where they do, and a rival
+             that is worse in free simulation on data held out.
     """
 
     chances: int = 3
@@ -323,7 +324,7 @@ class Confirmation:
         mine = at.through(filter).log_densities
         alike = {c.name for c in self._screen.alike(without, candidate, filter)}
         rivals, parts = {}, {}
-        own = assess.explained(without, at)
+        own, held = assess.explained(without, at), assess.held_out(without, at)
         # Where a term leaves nothing but noise, likelihoods tell what first order does not.
         clean = not is_structured(at, self.settings.noise)
         confirmed = bool(self._cache.validation) and candidate.transferable and own is not None and own.part > _MOST
@@ -350,7 +351,9 @@ class Confirmation:
                 continue
             explained = assess.explained(without, r)  # last, for it takes a fit to the data held out
             much = explained is None or own is None or explained.part > self.settings.alias * own.part
-            if not (like and much) and assess.is_worse(without, r, at):
+            # Two kinds of evidence are needed to tell them apart: coloured noise is part of what is simulated freely.
+            behind = held.gain - assess.held_out(without, r).gain
+            if not (like and much) and behind > self.settings.beyond and assess.is_worse(without, r, at):
                 continue
             rivals[other.name] = gain
             if explained is not None:
@@ -360,7 +363,7 @@ class Confirmation:
             assess.gain(without, at) / 2,
             assess.needed(at, candidate) / 2,
             rivals,
-            assess.held_out(without, at),
+            held,
             explained=own,
             rivals_explained=parts,
         )

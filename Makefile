@@ -65,7 +65,7 @@ docs: $(VENV)/.package
 # Wheels for Linux: with the glibc of 2014 or a later one, and with musl (both linked by zig), and the source distribution. One
 # abi3 wheel serves Python 3.10 and later; a free-threaded Python, if FREE_THREADED names one, gets a wheel of its own. Those that
 # this machine can run are tried without Rust: at the lowest versions of what they need, where there is a Python that these know,
-# and at the newest.
+# and at the newest; the wheel that pip builds from the source distribution, at the newest.
 wheels: $(VENV)/.created
 	$(py) -m pip install --quiet "maturin>=1.7,<2" ziglang
 	rustup target add $(WHEEL_TARGETS) || { echo "make wheels: install Rust's library for each of $(WHEEL_TARGETS)," \
@@ -74,8 +74,10 @@ wheels: $(VENV)/.created
 	$(activate) $(foreach t,$(WHEEL_TARGETS),$(build_wheel) --target $t --compatibility $(if $(findstring musl,$t),musllinux_1_2,manylinux2014) &&) true
 	$(if $(FREE_THREADED),$(activate) $(build_wheel) --target $(firstword $(WHEEL_TARGETS)) --compatibility manylinux2014 --interpreter $(FREE_THREADED))
 	$(activate) maturin sdist --out out/wheels
+	$(py) -m pip wheel --quiet --no-deps --wheel-dir out/wheels/of_sdist out/wheels/*.tar.gz
 	$(if $(OLD_PYTHON),$(py) tools/try_wheel.py $(own_wheel) --titles --versions lowest --python $(OLD_PYTHON))
 	$(py) tools/try_wheel.py $(own_wheel) --titles --versions newest --python $(PYTHON)
+	$(py) tools/try_wheel.py out/wheels/of_sdist/*.whl --versions newest --python $(PYTHON)
 	$(if $(FREE_THREADED),$(py) tools/try_wheel.py out/wheels/*t-manylinux*.whl --versions newest --python $(FREE_THREADED))
 	ls -l out/wheels
 

@@ -37,6 +37,7 @@ mod newton;
 mod noise;
 mod operations;
 mod own_solver;
+mod poles;
 mod printing;
 mod public_fields;
 mod random_expressions;

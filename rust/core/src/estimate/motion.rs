@@ -197,10 +197,10 @@ impl Estimation<'_> {
             };
             iterations += found.iterations;
             time += found.solution.time;
-            if let (Some(before), Some(l)) = (unknown.take(), begins.filter(|_| !lost)) {
-                if sound.as_ref().is_none_or(|kept| l > kept.1) {
-                    sound = Some((before, l));
-                }
+            if let (Some(before), Some(l)) = (unknown.take(), begins.filter(|_| !lost))
+                && sound.as_ref().is_none_or(|kept| l > kept.1)
+            {
+                sound = Some((before, l));
             }
             let stopped = found.status.was_stopped() && !lost;
             at = found.values();

@@ -95,7 +95,8 @@ fn a_solution_that_ceases_to_exist() {
     let runs = [Experiment::new(&m, "run", t, [("x", z)]).unwrap()];
     let error = Estimation::new(&m, &runs).shooting(Shots::default()).solve().unwrap_err().to_string();
     assert!(error.contains("the solution of 'run' that starts at t = 0 ceases to exist at t = "), "{error}");
-    let time: f64 = error.split("at t = ").nth(2).unwrap().split(' ').next().unwrap().parse().unwrap();
+    let time: f64 =
+        error.split("at t = ").nth(2).unwrap().split(&[' ', ':']).next().unwrap().parse().unwrap();
     // It leaves to infinity at 0.5 s; fixed steps follow a little longer.
     assert!((0.5..2.0).contains(&time), "{error}");
     // Segments shorter than that are no trouble.

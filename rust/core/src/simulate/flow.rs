@@ -239,7 +239,9 @@ impl<'a> Flow<'a> {
                      slides along the jump; give it a smooth transition, such as smooth_sign or smooth_step"
                 ),
                 None if lost == Lost::Step => {
-                    "no step is short enough to be exact there; an equation may jump, or rtol be too small".to_owned()
+                    "no step is short enough to be exact there; an equation may jump or have a pole, or rtol be too \
+                     small"
+                        .to_owned()
                 }
                 None => {
                     "it takes too many steps between two samples; the motion is far too fast for these samples, \
@@ -270,8 +272,9 @@ impl<'a> Flow<'a> {
                 [1e-2, 1e-4].map(|part| self.sides(at, i, part * at.x[i].abs().max(SMALL * size)));
             let ((far_below, far_above), (below, above)) = (far?, near?);
             let jumps = |j: &usize| {
-                below[*j] * above[*j] < 0.0
-                    && (above[*j] - below[*j]).abs() > 0.5 * (far_above[*j] - far_below[*j]).abs()
+                let change = (above[*j] - below[*j]).abs() / (far_above[*j] - far_below[*j]).abs();
+                // At a pole it grows.
+                below[*j] * above[*j] < 0.0 && (0.5..2.0).contains(&change)
             };
             if let Some(j) = (0..n).find(jumps) {
                 return Some(&self.model.states[j].name);

@@ -17,16 +17,17 @@ fn end(equation: impl Fn(Expr, Expr) -> Expr, k: f64, method: Method) -> Result<
 
 #[test]
 fn no_step_crosses_a_pole() {
+    let of_a_pole = |why: &str| why.contains("not finite") || why.contains("have a pole");
     for method in [Method::Automatic, Method::Explicit, Method::Implicit] {
         for k in [0.7, 1.0, 1.3, 2.0, 5.0, 20.0] {
             // Ends at t = 1/(2 k), and at 1/k.
             let why = end(|x, k| -k / x, k, method).expect_err("there is no solution");
-            assert!(why.contains("ends at t ="), "{method:?}, {k}: {why}");
+            assert!(of_a_pole(&why), "{method:?}, {k}: {why}");
             // A slope that is small beside the pole but next to it.
             let why = end(|x, k| -1e-9 * k / (x - 0.3) - 1.0, k, method).expect_err("there is no solution");
-            assert!(why.contains("ends at t ="), "{method:?}, {k}: {why}");
+            assert!(of_a_pole(&why), "{method:?}, {k}: {why}");
             let why = end(|x, k| k * x.clone() * x, k, method).expect_err("there is no solution");
-            assert!(why.contains("ends at t ="), "{method:?}, {k}: {why}");
+            assert!(why.contains("without limit"), "{method:?}, {k}: {why}");
         }
     }
 }

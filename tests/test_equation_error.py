@@ -341,7 +341,7 @@ def test_it_starts_an_estimation() -> None:
 def test_summary_and_plot() -> None:
     result = equation_error(short_period(), record(0.02))
     text = result.summary()
-    assert all(word in text for word in ("q'", "az", "R²", "lag-1 corr.", "std error, if white", "Md", "rad/s/s"))
+    assert all(word in text for word in ("q'", "az", "R²", "lag-1 corr.", "std error, if white", "Md", "rad/s²"))
     figure, axes = result.plot()
     assert set(axes) >= {"w'", "w' residual", "q'", "az", "d"}
     plt.close(figure)

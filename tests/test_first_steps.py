@@ -59,7 +59,7 @@ def test_declared_symbols_are_a_tuple_as_ever() -> None:
 
 def test_options_of_read_of_the_wrong_kind(file: Path) -> None:
     wrong: list[tuple[dict[str, Any], str]] = [
-        ({"window": 3}, r"window=3: give its begin and end in s"),
+        ({"window": 3}, r"window=3: give its begin and end, such as"),
         ({"window": "0,1"}, r"window='0,1': give its begin and end"),
         ({"rename": "u"}, r"rename='u': give names by name"),
         ({"units": "deg"}, r"units='deg': give units by name"),

@@ -162,7 +162,7 @@ def test_state_equations_have_their_own_selections() -> None:
     run = run.with_outputs({n: y + 0.01 * y.std() * rng.standard_normal(t.size) for n, y in clean.items()})
     found = ph.equation_error(m, run, select=ph.TermSelection(keep="Mq"), terms={"q'": {"Mww": w**2}})
     assert found.selection["w'"].dropped == ("Zde",) and found.selection["q'"].dropped == ("Mww",)
-    assert found.selection["q'"].kept == ("Mq",) and found.selection["w'"].unit == "m/s/s"
+    assert found.selection["q'"].kept == ("Mq",) and found.selection["w'"].unit == "m/s²"
     with pytest.raises(KeyError, match="Did you mean"):
         found.selection["w"]
     assert ph.estimate(found.model, run, start=found).parameters["Zde"].fixed

@@ -83,7 +83,7 @@ def manoeuvres(
     >>> t = np.arange(0.0, 60.0, 0.02)
     >>> de = np.where((t >= 40) & (t < 41), 0.05, 0.0) - np.where((t >= 41) & (t < 42), 0.05, 0.0)
     >>> [str(m) for m in manoeuvres(Experiment(t, {"de": de}))]
-    ['doublet of de, 40.0 to 42.0 s']
+    ['doublet of de, 40.0 to 42.0']
     """
     if not isinstance(run, Experiment):
         raise DataError(f"manoeuvres: the first argument is an Experiment, not a {type(run).__name__}")

@@ -29,7 +29,7 @@ from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
 from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable
 from .scales import Scales, output_key
-from .terms import FORMS, LaggedVariable, ParameterDrift, Periodic, Rate, Ripple, Step, Term, where
+from .terms import FORMS, Jump, LaggedVariable, ParameterDrift, Periodic, Rate, Ripple, Term, where
 
 __all__ = ["Catalogue", "Names", "stem"]
 
@@ -96,13 +96,13 @@ class Catalogue:
                 words = f"the zero of {place.name} jumps during the record (a sensor that is set anew, or slips)"
                 yield self._step(place, stem(place), words)
 
-    def _step(self, place: Place, named: str, words: str) -> Step:
+    def _step(self, place: Place, named: str, words: str) -> Jump:
         title, shape = (
             f"{self.structure.shown(place) if place.kind == 'output' else place.name}:step",
             f"time_of_step_{named}",
         )
         names = (self.names(f"step_{named}"),), (self.names(shape),)
-        return Step(title, place, words, "step", self.scales, *names)
+        return Jump(title, place, words, "step", self.scales, *names)
 
     def _of_exact_quantities(self) -> Iterator[Effect]:
         """Yield dead zones and limits of quantities that forces are functions of, such as the play of a gear in the

@@ -19,12 +19,12 @@ from .scales import Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lag
 
 __all__ = [
     "FORMS",
+    "Jump",
     "LaggedVariable",
     "ParameterDrift",
     "Periodic",
     "Rate",
     "Ripple",
-    "Step",
     "Term",
     "tabulated",
     "where",
@@ -457,7 +457,7 @@ _TIMES, _WIDE = 24, 2.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Step(Effect):
+class Jump(Effect):
     """A parameter p becomes p + d from a time on: a load that is dropped, a flap that is set, a part that fails. Or an
     output does: an altimeter that is set anew, an encoder that slips."""
 

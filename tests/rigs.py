@@ -17,6 +17,14 @@ def steps(rng: np.random.Generator, t: _Array, low: float, high: float, each: fl
     return levels[(t / each).astype(int)]
 
 
+def levels(
+    rng: np.random.Generator, t: _Array, low: float, high: float, lasting: tuple[float, float], count: int
+) -> _Array:
+    """Return so many levels, and one more, that change after random times between two bounds."""
+    at = np.cumsum(rng.uniform(*lasting, count))
+    return rng.uniform(low, high, count + 1)[np.searchsorted(at, t)]
+
+
 def integrated(f: Callable[[_Array, float], _Array], x: _Array, t: _Array, u: _Array, finer: int = 4) -> _Array:
     """Return states at the samples, by Runge and Kutta's method, inputs held."""
     h, found = (t[1] - t[0]) / finer, [x]

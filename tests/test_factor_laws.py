@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rigs import integrated, named
+from rigs import integrated, levels, named
 
 import phugoid as ph
 
@@ -14,8 +14,7 @@ _TIMES = np.arange(0.0, 100.0, 0.25)
 
 def _levels(rng: np.random.Generator, low: float, high: float) -> _Array:
     """Return levels (N,) that change every few seconds."""
-    at = np.cumsum(rng.uniform(4.0, 12.0, 30))
-    return rng.uniform(low, high, 31)[np.searchsorted(at, _TIMES)]
+    return levels(rng, _TIMES, low, high, (4.0, 12.0), 30)
 
 
 def _reactor(seed: int, name: str) -> ph.Experiment:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from rigs import integrated, named
+from rigs import integrated, levels, named
 
 import phugoid as ph
 
@@ -13,8 +13,7 @@ _TIMES = np.arange(0.0, 40.0, 0.05)
 def _boat(seed: int, size: float, name: str) -> ph.Experiment:
     """A boat whose drag has a part that goes with the cube of the speed."""
     rng = np.random.default_rng(seed)
-    at = np.cumsum(rng.uniform(1.0, 4.0, 40))
-    thrust = size * rng.uniform(-1.0, 1.0, 41)[np.searchsorted(at, _TIMES)]
+    thrust = size * levels(rng, _TIMES, -1.0, 1.0, (1.0, 4.0), 40)
     x = integrated(lambda x, u: np.array([u[0] - 0.5 * x[0] - 0.1 * x[0] ** 3]), np.zeros(1), _TIMES, thrust[:, None])
     outputs = {"v": x[:, 0] + 0.01 * rng.standard_normal(_TIMES.size)}
     return ph.Experiment(_TIMES, {"T": thrust}, outputs, interpolation="hold", name=name)

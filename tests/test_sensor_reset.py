@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rigs import integrated, named
+from rigs import integrated, levels, named
 
 import phugoid as ph
 
@@ -14,8 +14,7 @@ _TIMES = np.arange(0.0, 80.0, 0.2)
 def _climb(seed: int, jump: float, name: str) -> ph.Experiment:
     """A vehicle that climbs and sinks, with an altimeter that is set anew after 47 s."""
     rng = np.random.default_rng(seed)
-    at = np.cumsum(rng.uniform(3.0, 8.0, 30))
-    thrust = rng.uniform(-1.0, 1.0, 31)[np.searchsorted(at, _TIMES)]
+    thrust = levels(rng, _TIMES, -1.0, 1.0, (3.0, 8.0), 30)
     x = integrated(
         lambda x, u: np.array([x[1], 1.2 * u[0] - 0.5 * x[1]]), np.array([50.0, 0.0]), _TIMES, thrust[:, None]
     )

@@ -78,12 +78,12 @@ class Candidate(ABC):
 
     @property
     def has_phase(self) -> bool:
-        """Whether its two coefficients are those of a sine and a cosine, which depend on where the phase is 0."""
+        """Tell whether its two coefficients are those of a sine and a cosine, which depend on where the phase is 0."""
         return False
 
     @property
     def otherwise(self) -> Candidate | None:
-        """The same by another law, alike to first order; None where there is none."""
+        """Return the same by another law, alike to first order; None where there is none."""
         return None
 
     @property

@@ -90,19 +90,16 @@ class Catalogue:
             )
         for name in self.structure.acting:
             words = f"{name} changes abruptly during the record (a load, a setting, a failure)"
-            yield self._step(Place("parameter", name), name, words)
+            yield self._step(Place("parameter", name), words)
         for place in self.structure.places:
             if place.kind == "output":
                 words = f"the zero of {place.name} jumps during the record (a sensor that is set anew, or slips)"
-                yield self._step(place, stem(place), words)
+                yield self._step(place, words)
 
-    def _step(self, place: Place, named: str, words: str) -> Jump:
-        title, shape = (
-            f"{self.structure.shown(place) if place.kind == 'output' else place.name}:step",
-            f"time_of_step_{named}",
-        )
-        names = (self.names(f"step_{named}"),), (self.names(shape),)
-        return Jump(title, place, words, "step", self.scales, *names)
+    def _step(self, place: Place, words: str) -> Jump:
+        title, base = f"{self.structure.shown(place)}:step", stem(place)
+        size, time = self.names(f"step_{base}"), self.names(f"time_of_step_{base}")
+        return Jump(title, place, words, "step", self.scales, (size,), (time,))
 
     def _of_exact_quantities(self) -> Iterator[Effect]:
         """Yield dead zones and limits of quantities that forces are functions of, such as the play of a gear in the

@@ -151,14 +151,14 @@ class CandidateManoeuvres:
             farthest = float(away[np.argmax(np.abs(away))])
             if abs(farthest) <= 1e-9 * float(np.abs(data[0].input(name)).max()):
                 continue
+            low, high = _signs([e.input(name) for e in data])
+            start = float(data[0].input(name)[0])
             for size in _SIZES:
                 some = list(
                     manoeuvres_of_size(name, model.units.get(name, ""), self.t, size * farthest, model.time_unit)
                 )
                 if size in _SMALL:
                     some = [m for m in some if m.kind in SLOW]
-                low, high = _signs([e.input(name) for e in data])
-                start = float(data[0].input(name)[0])
                 some = [m for m in some if low <= start + float(m.moves.min()) and start + float(m.moves.max()) <= high]
                 listed += some
                 self._sizes += [size] * len(some)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...residual_noise.whitening import Whitening
 from ...sensitivities import Place
-from ...sensitivities.whitened import Whitened, own_whitening
+from ...sensitivities.whitened import Whitened
 from ..candidates.candidate import Candidate, Effect, place_range
 from ..candidates.model_structure import addends
 from ..candidates.scales import evaluated
@@ -118,7 +118,7 @@ class Assessment:
         self._held: dict[tuple[Refit, Refit], HeldOut] = {}
         self._blocks: dict[tuple[Refit, tuple[str, ...]], Simulated] = {}
         self._in_error: dict[tuple[Refit, Refit], float] = {}
-        self._moved: dict[tuple[Refit, Refit], float] = {}
+        self._on_validation: dict[tuple[Refit, Refit], HeldOut | None] = {}
         self.not_excited: set[str] = set()
         """Names of candidates that the validation records do not excite."""
 
@@ -223,30 +223,24 @@ class Assessment:
         return gain_on_other_data(before, after).gain
 
     def _gain_held_out(self, base: Refit, more: Refit) -> HeldOut:
-        new = more.beside(base.candidates)
-        others = self._cache.on_validation(base)
-        if others is None or not all(c.transferable for c in new) or not self._moves(base, more):
-            return across_blocks(base, more)
-        mine = self._cache.on_validation(more, others)
-        return HeldOut(-np.inf, 0.0, -np.inf) if mine is None else gain_on_other_data(others, mine)
+        elsewhere = self._elsewhere(base, more)
+        return across_blocks(base, more) if elsewhere is None else elsewhere
 
-    def _moves(self, base: Refit, more: Refit) -> bool:
-        """Tell whether the validation records excite what a model has and another has not; else they can neither
-        confirm it nor speak against it."""
+    def _elsewhere(self, base: Refit, more: Refit) -> HeldOut | None:
+        """Return the gain on the validation records; None where there are none, or these do not excite what a model has
+        and another has not, and neither confirm it nor speak against it."""
         key = base, more
-        if key not in self._moved:
-            others = self._cache.on_validation(base)
-            mine = self._cache.on_validation(more, others) if others is not None else None
-            self._moved[key] = np.inf
-            if others is not None and mine is not None:
-                own = own_whitening(mine)
-                theirs = Whitened(others, own.filter.on(others.structure))
-                errors = np.full((2, mine.n_measured), np.nan)  # a late sensor leaves some samples out
-                errors[0, mine.measured_rows], errors[1, others.measured_rows] = own.errors, theirs.errors
-                self._moved[key] = float(np.nansum((errors[0] - errors[1]) ** 2))
-                if self._moved[key] < self.settings.moved:
-                    self.not_excited |= {c.name for c in more.beside(base.candidates)}
-        return self._moved[key] >= self.settings.moved
+        if key not in self._on_validation:
+            new, others = more.beside(base.candidates), self._cache.on_validation(base)
+            found: HeldOut | None = None
+            if others is not None and all(c.transferable for c in new):
+                mine = self._cache.on_validation(more, others)
+                found = HeldOut(-np.inf, 0.0, -np.inf) if mine is None else gain_on_other_data(others, mine)
+                if found.moved < self.settings.moved:
+                    self.not_excited |= {c.name for c in new}
+                    found = None
+            self._on_validation[key] = found
+        return self._on_validation[key]
 
     def explained(self, base: Refit, more: Refit) -> Explained | None:
         """Return the part of the misfit that a model explains more of than another, in free simulation of held-out
@@ -306,8 +300,8 @@ class Assessment:
             root, elsewhere = misfitting, on(misfitting)
         else:
             root, elsewhere = self._cache.diagnosed or (self._cache.base, on(self._cache.base))
-        excited = any(self._moves(base, r) for r in (one, other) if r is not base)
-        if on(base) is not None and all(c.transferable for c in new) and excited:
+        transferable = all(c.transferable for c in new)
+        if transferable and any(self._elsewhere(base, r) is not None for r in (one, other) if r is not base):
             first, second = on(one, on(base)), on(other, on(base))
             if first is None or second is None:
                 return None

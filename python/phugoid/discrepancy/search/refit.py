@@ -229,11 +229,13 @@ class HeldOut(NamedTuple):
     deviation  its standard deviation.
     elsewhere  the gain without the block of the records that gains most: one block alone is no confirmation, for
                whatever is wrong there would look like a gain. On other records the gain itself.
+    moved      what the two models differ by, as a sum of squares in units of the noise; of blocks not asked.
     """
 
     gain: float
     deviation: float
     elsewhere: float
+    moved: float = math.inf
 
 
 def across_blocks(base: Refit, more: Refit) -> HeldOut:
@@ -388,7 +390,10 @@ def gain_on_other_data(base: Linearised, more: Linearised) -> HeldOut:
     other = Whitened(base, own.filter.on(base.structure))
     d = own.log_densities - other.log_densities
     d = d[np.isfinite(d)]
-    return HeldOut(float(d.sum()), float(np.sqrt(d.size) * d.std()), float(d.sum()))
+    errors = np.full((2, more.n_measured), np.nan)  # a late sensor leaves some samples out
+    errors[0, more.measured_rows], errors[1, base.measured_rows] = own.errors, other.errors
+    moved = float(np.nansum((errors[0] - errors[1]) ** 2))
+    return HeldOut(float(d.sum()), float(np.sqrt(d.size) * d.std()), float(d.sum()), moved)
 
 
 def is_structured(at: Refit, least: float) -> bool:

@@ -103,16 +103,14 @@ class RefitCache:
             for c in candidates:
                 starts |= self._starts.get(c.name, {})
             found = self._likeliest(candidates, starts, near)
-            lesser = candidates[-1].lesser if found is not None and candidates else None
-            if found is not None and lesser is not None:
-                # Other records are to confirm both sides of a limit: one that is as likely alone says less.
-                other = self._likeliest([*candidates[:-1], lesser], starts, near)
-                if other is not None and other.fit.log_likelihood > found.fit.log_likelihood - _NEARLY:
-                    found = other
-            otherwise = candidates[-1].otherwise if found is not None and candidates else None
-            if found is not None and otherwise is not None:
-                other = self._likeliest([*candidates[:-1], otherwise], starts, near)
-                if other is not None and other.fit.log_likelihood > found.fit.log_likelihood:
+            # Other records are to confirm both sides of a limit: one that is as likely alone says less.
+            last = candidates[-1] if candidates else None
+            others = [(last.lesser, _NEARLY), (last.otherwise, 0.0)] if last is not None else []
+            for variant, less in others:
+                if found is None or variant is None:
+                    continue
+                other = self._likeliest([*candidates[:-1], variant], starts, near)
+                if other is not None and other.fit.log_likelihood > found.fit.log_likelihood - less:
                     found = other
             try:
                 if found is not None and candidates and is_limit(candidates[-1]):

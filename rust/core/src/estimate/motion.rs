@@ -62,7 +62,7 @@ pub(super) struct Accuracy {
 pub(super) const SEARCH: Accuracy = Accuracy { tolerance: 1e-6, local: 1e-3, thorough: false };
 /// Holds for the last run.
 pub(super) const FINAL: Accuracy = Accuracy { tolerance: 1e-7, local: 1e-4, thorough: true };
-/// For an end that the integration has found wrong.
+/// Serves an end that the integration has found wrong.
 pub(super) const FINEST: Accuracy = Accuracy { tolerance: 1e-9, local: 1e-6, thorough: true };
 
 /// A simulation of one experiment: its motion, and outputs at the samples.

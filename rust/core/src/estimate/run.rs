@@ -73,7 +73,7 @@ impl Estimation<'_> {
         Ok(fit)
     }
 
-    /// The estimation with a few iterations where kinks can be smoothed: a fit that has not converged by then goes back and
+    /// Returns the estimation with few iterations where kinks can be smoothed: a fit that has not converged by then goes back and
     /// forth over them.
     fn roughly(&self) -> Self {
         let mut rough = self.clone();
@@ -83,7 +83,7 @@ impl Estimation<'_> {
         rough
     }
 
-    /// Whether the model has kinks that are smoothed where they matter.
+    /// Tells whether the model has kinks that are smoothed where they matter.
     pub(super) fn smooths(&self) -> bool {
         self.smooth_kinks && self.transcription.is_collocation() && !self.model.kinks().is_empty()
     }

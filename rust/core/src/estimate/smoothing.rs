@@ -122,14 +122,8 @@ impl Estimation<'_> {
         let asked = rough.refinement.as_ref().map(|r| r.tolerance);
         let tolerance = asked.map_or(TOLERANCE, |t| t.min(TOLERANCE));
         let mut narrowed = |part: f64, before: Option<&Fit>| -> Result<Fit, Error> {
-            let widths: Vec<f64> = spreads.iter().map(|s| part * s).collect();
-            let smooth = self.model.smoothed(&widths)?;
-            let mut pass = Estimation { model: &smooth, refine: Some(tolerance), ..self.clone() };
-            let from = before.or_else(|| Some(&rough).filter(|_| asked.is_none()));
-            if let Some(Transcription::Collocation(mesh)) = from.map(|fit| &fit.transcription) {
-                pass = pass.on_grid(mesh.order, mesh.grid.clone());
-            }
-            before.map_or_else(|| pass.clone(), |fit| pass.going_on_from(fit)).solve_refined(watch)
+            let on = before.or_else(|| Some(&rough).filter(|_| asked.is_none()));
+            self.pass(&spreads, part, tolerance, on, before, watch)
         };
         let mut part = FIRST;
         let mut fit = narrowed(part, None)?;
@@ -210,23 +204,34 @@ impl Estimation<'_> {
     /// Returns the fit of the model smoothed over these widths, after passes over multiples of them, each from the last;
     /// None where one does not come to an end on a mesh that is fine enough.
     fn over(&self, widths: &[f64], factors: &[f64], watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
-        let refine = Some(self.refine.map_or(TOLERANCE, |t| t.min(TOLERANCE)));
+        let tolerance = self.refine.map_or(TOLERANCE, |t| t.min(TOLERANCE));
         let mut last: Option<Fit> = None;
         for factor in factors {
-            let smooth = self.model.smoothed(&widths.iter().map(|w| factor * w).collect::<Vec<_>>())?;
-            let mut pass = Estimation { model: &smooth, refine, ..self.clone() };
-            if let Some(fit) = &last {
-                if let Transcription::Collocation(mesh) = &fit.transcription {
-                    pass = pass.on_grid(mesh.order, mesh.grid.clone());
-                }
-                pass = pass.going_on_from(fit);
-            }
-            last = Some(pass.solve_refined(watch)?).filter(good);
+            let before = last.as_ref();
+            last = Some(self.pass(widths, *factor, tolerance, before, before, watch)?).filter(good);
             if last.is_none() {
                 break;
             }
         }
         Ok(last)
+    }
+
+    /// Returns the fit of the model smoothed over a part of some widths, on the mesh of one fit and from the end of another.
+    fn pass(
+        &self,
+        widths: &[f64],
+        part: f64,
+        tolerance: f64,
+        on: Option<&Fit>,
+        before: Option<&Fit>,
+        watch: &mut Watch<'_>,
+    ) -> Result<Fit, Error> {
+        let smooth = self.model.smoothed(&widths.iter().map(|w| part * w).collect::<Vec<_>>())?;
+        let mut pass = Estimation { model: &smooth, refine: Some(tolerance), ..self.clone() };
+        if let Some(Transcription::Collocation(mesh)) = on.map(|fit| &fit.transcription) {
+            pass = pass.on_grid(mesh.order, mesh.grid.clone());
+        }
+        before.map_or_else(|| pass.clone(), |fit| pass.going_on_from(fit)).solve_refined(watch)
     }
 
     /// Returns the last pass as a fit of the model with kinks, which says how these were smoothed, and how many iterations went before.

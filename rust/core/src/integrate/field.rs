@@ -60,7 +60,7 @@ pub(crate) struct Field<'a> {
     outputs: Kernel,
     /// Divisors of the slopes, where there are any.
     divisors: Option<Kernel>,
-    /// Those of which a step has come to a pole.
+    /// Which of the divisors a step has come to a pole of.
     pub poles: Vec<usize>,
     /// Made when it is needed: the derivatives, with their rows and columns.
     jacobian: Option<(Kernel, Vec<usize>, Vec<usize>)>,

@@ -281,6 +281,10 @@ class Linearised:
         """Where candidates can act."""
         return {*self._slopes[0], *(Place("output", name) for name in self.model.output_names)}
 
+    def reaches(self, place: Place) -> bool:
+        """Tell whether candidates can act at a place, shown by outputs or not."""
+        return replace(place, shown=True) in self.places
+
     @cached_property
     def counts(self) -> list[int]:
         """(n_y,) samples of each output that were measured."""

@@ -278,18 +278,26 @@ class Search:
         return SearchResult(final, at, (*found, unexplained) if unexplained else tuple(found), remarks)
 
     def _pruned(self, at: Refit) -> Refit:
-        """Return the refit without terms that later ones have made needless, the least significant first."""
+        """Return the refit without terms that later ones have made needless, the least significant first. A term stays
+        that explains a part of the misfit of data held out that is more than minor: beside others coloured noise may
+        stand in for it, which follows a lightly damped mode, say, but does not simulate it."""
         while len(at.candidates) > 1:
             margins = {}
             for c in at.candidates:
                 without = self.cache.again([other for other in at.candidates if other is not c], at.fit)
                 if without is not None:
                     margins[without] = self.assessment.gain(without, at) - self.assessment.needed(at, c)
-            least = min(margins, key=lambda r: margins[r], default=at)
-            if least is at or margins[least] > 0.0:
+            needless = (r for r in sorted(margins, key=lambda r: margins[r]) if margins[r] <= 0.0)
+            fewer = next((r for r in needless if not self._explains(r, at)), None)
+            if fewer is None:
                 break
-            at = least
+            at = fewer
         return at
+
+    def _explains(self, base: Refit, more: Refit) -> bool:
+        """Tell whether a refit explains more than a minor part of the misfit of data held out."""
+        explained = self.assessment.explained(base, more)
+        return explained is not None and not self.assessment.is_minor(explained)
 
     def _preferred(self, at: Refit, names: Collection[str]) -> Refit:
         """Return the refit with the most plausible of causes that are the same but for rounding, so that rounding does
@@ -324,7 +332,11 @@ class Search:
         while True:
             explained = {c.name: self.confirmation.explained(at, c) for c in at.candidates}
             assess = self.assessment
-            weak = [c for c in at.candidates if not assess.is_named(at, c, explained[c.name]) or self._wanders(at, c)]
+            weak = [
+                c
+                for c in at.candidates
+                if not assess.is_named(at, c, explained[c.name]) or self._wanders(at, c) or self._is_chance(at, c)
+            ]
             if not weak:
                 return at
             # Of terms that stand for each other the simpler one stays, of those alike what is likelier without the
@@ -339,6 +351,11 @@ class Search:
             if following is None:
                 return at
             at = following
+
+    def _is_chance(self, at: Refit, candidate: Candidate) -> bool:
+        """Tell whether a term, beside the others, gains no more in likelihood than chance gives."""
+        without = self.cache.refit([c for c in at.candidates if c is not candidate], at.fit)
+        return without is not None and self.assessment.gain(without, at) <= self.assessment.needed(at, candidate)
 
     def _wanders(self, at: Refit, candidate: Candidate) -> bool:
         """Tell whether a term of this record alone, beside the others, is no likelier than sensors that wander."""

@@ -105,6 +105,7 @@ class RecordChange:
     """A difference between records that was found.
 
     name       canonical: ``k:per_experiment``, ``x:bias_per_experiment``, ``x:scale_per_experiment``.
+    parameter  of the model.
     aliases    names of others that the data do not tell from it.
     place      of the parameter or the constant.
     values     record -> value and standard error.
@@ -115,6 +116,7 @@ class RecordChange:
     """
 
     name: str
+    parameter: str
     aliases: tuple[str, ...]
     place: Place
     values: dict[str, tuple[float, float]]
@@ -130,23 +132,29 @@ class RecordChange:
         what = self.place.name if self.place.kind == "parameter" else f"the {part} of {where(self.place)}"
         return f"{what} differs from record to record"
 
+    def beside(self, terms: Refit) -> RecordChange:
+        """Return the same with the values that it has beside terms that were found after it."""
+        return replace(self, values=_values(terms, self.parameter))
+
     @property
     def is_scale(self) -> bool:
         """Tell whether it is the scale of a sensor."""
         return self.place.kind == "output" and ":scale_" in self.name
 
 
-def record_changes(search: Search, result: SearchResult) -> tuple[Refit | None, list[RecordChange], list[str]]:
-    """Return the base model with differences between records, fitted; what these are; and names of their parameters.
+def record_changes(search: Search, result: SearchResult) -> tuple[Refit | None, list[RecordChange]]:
+    """Return the base model with differences between records, fitted, and what these are.
 
     None where the terms that the search found are likelier, or nothing differs.
     """
     base, full = search.cache.base, result.full
     if len(dataset(base.fit)) < 2:
-        return None, [], []
+        return None, []
     best = -np.inf
     options: list[tuple[_Difference, tuple[str, ...]]] = []
-    for at in [base] if full is base else [base, full]:
+    # The last terms of a search may be what stands for a difference beside the first ones.
+    prefixes = (search.cache.refit(full.candidates[:k], full.fit) for k in range(1, len(full.candidates)))
+    for at in [base, *(r for r in prefixes if r is not None), *([] if full is base else [full])]:
         found, chosen = _differing(at)
         unknowns = len(chosen) * (len(dataset(at.fit)) - 1)
         merit = found.merit - search.chances(at) - 0.5 * unknowns * float(np.log(at.linear.n_rows))
@@ -155,7 +163,7 @@ def record_changes(search: Search, result: SearchResult) -> tuple[Refit | None, 
     # Minor findings and surrogates stand for something else: this may be it, if it is likelier than they are.
     final = result.final
     if best <= max(final.merit - search.chances(final) + _MARGIN, full.merit - search.chances(full)):
-        return None, [], []
+        return None, []
     current, changes = base, []
     for option, aliases in options:
         more = _with(current, option)
@@ -164,7 +172,7 @@ def record_changes(search: Search, result: SearchResult) -> tuple[Refit | None, 
             break
         changes.append(_change(search, current, more, option, aliases))
         current = more
-    return (current, changes, [o.parameter for o, _ in options[: len(changes)]]) if changes else (None, [], [])
+    return (current, changes) if changes else (None, [])
 
 
 def _threshold(unknowns: int, tries: int) -> float:
@@ -304,23 +312,24 @@ def _explained(of: Refit, before: Refit, after: Refit) -> Explained:
     return Simulated.of(after.linear).explained(Simulated.of(before.linear), Misfitting.of(of.linear))
 
 
+def _values(at: Refit, parameter: str) -> dict[str, tuple[float, float]]:
+    """Return the value and standard error of a parameter in each record, with coloured noise."""
+    names = {e.name: f"{parameter}[{e.name}]" for e in dataset(at.fit)}
+    inflation = float(np.sqrt(max(at.own.inflation(n) for n in names.values())))
+    found = {record: at.own.parameter(name) for record, name in names.items()}
+    return {record: (float(value), float(error) * inflation) for record, (value, error) in found.items()}
+
+
 def _change(search: Search, before: Refit, after: Refit, option: _Difference, aliases: tuple[str, ...]) -> RecordChange:
-    names = {e.name: f"{option.parameter}[{e.name}]" for e in dataset(after.fit)}
-    inflation = np.sqrt(max(after.own.inflation(n) for n in names.values()))
-    values = {}
-    for record, name in names.items():
-        value, error = after.own.parameter(name)
-        values[record] = float(value), float(error * inflation)
-    explained = _explained(search.cache.base, before, after)
-    unit = after.fit.model.declared_parameters[option.parameter].unit
-    gain = after.merit - before.merit
+    values = _values(after, option.parameter)
     return RecordChange(
         option.name,
+        option.parameter,
         aliases,
         option.place,
         values,
-        unit,
-        gain,
-        _threshold(len(names) - 1, len(_options(before))),
-        explained,
+        after.fit.model.declared_parameters[option.parameter].unit,
+        after.merit - before.merit,
+        _threshold(len(values) - 1, len(_options(before))),
+        _explained(search.cache.base, before, after),
     )

@@ -288,7 +288,9 @@ class RefitCache:
                 scan.forget()
         if key not in self._scans:
             self.watch("scanning all candidates" + (" beside " + ", ".join(at.names) if at.names else ""))
+            # With its terms a model may have more parameters than are asked what they move.
             others = [c for c in self.candidates if c.name not in key and (not c.beside or c.beside in key)]
+            others = [c for c in others if at.linear.reaches(c.place)]
             self._scans[key] = Scan(at.linear, others)
         return self._scans[key]
 
@@ -381,7 +383,7 @@ def _centre_step(at: Refit, candidate: Effect, filter: Filter) -> tuple[float, f
     step = moved.scales.centre(*moved.variables) - candidate.scales.centre(*candidate.variables)
     shape = {n: at.fit.parameters[n].value for n in candidate.shape_names}
     size = at.fit.parameters[candidate.coefficients[0]].value if candidate.coefficients else 1.0
-    if candidate.place not in linear.places:
+    if not linear.reaches(candidate.place):
         return 0.0, 0.0
     signals = [size * (moved.signals(p, shape) - candidate.signals(p, shape)) for p in linear.points]
     seen = at.through(filter)

@@ -244,16 +244,17 @@ def _with_record_changes(state: Inquiry) -> Inquiry:
     was found."""
     search, cache = state.search, state.search.cache
     cache.watch("comparing parameters and offsets that differ from record to record")
-    base, changes, names = record_changes(search, state.result)
+    base, changes = record_changes(search, state.result)
     if base is None:
         return state
     free = freed_by_default(cache.base.fit.model) if cache.biases is None else cache.biases
     # What is left beside them is part of the misfit of the model that was diagnosed.
     diagnosed = cache.diagnosed or (cache.base, cache.on_validation(cache.base))
-    again = search.on(base, biases=[*free, *names], diagnosed=diagnosed)
+    again = search.on(base, biases=[*free, *(c.parameter for c in changes)], diagnosed=diagnosed)
     if cache.validation:
         again.cache.try_validation()
-    return replace(state.searched(again), changes=tuple(changes), unchanged=search)
+    found = state.searched(again)
+    return replace(found, changes=tuple(c.beside(found.result.final) for c in changes), unchanged=search)
 
 
 def _with_inputs_as_sampled(state: Inquiry) -> Inquiry:

@@ -23,6 +23,8 @@ const FLOOR: f64 = 1e-6;
 const UNMEASURED: f64 = 1e-2;
 /// Errors of a segment below this, in units of the noise, are small beside it.
 const COARSE: f64 = 0.1;
+/// The same of all segments together.
+const ACCUMULATED: f64 = 1.0;
 /// Points that are evaluated at a time.
 const CHUNK: usize = 4096;
 /// Most sweeps of Picard's iteration, and the change after which they end.
@@ -53,6 +55,13 @@ impl IntegrationError {
         let relative = |s: usize| self.errors.iter().zip(&self.scales).map(move |(e, scale)| e[s] / scale);
         (0..self.edges.len() - 1).map(|s| relative(s).fold(0.0, f64::max)).collect()
     }
+}
+
+/// What polynomials neglect of a path, in units of the noise.
+#[derive(Clone, Copy, Debug, Default)]
+struct Neglected {
+    largest: f64,
+    sum: f64,
 }
 
 /// A path that collocation of an order left in an experiment.
@@ -147,16 +156,12 @@ impl CollocatedPath<'_> {
         Ok(IntegrationError { name, edges, errors, scales: self.scales() })
     }
 
-    /// Whether the collocation polynomials may lack terms that are not small beside the noise: the next coefficient,
-    /// extrapolated from the last two as of a geometric series. The trapezoid has but two: its error in a segment is h³/12
-    /// times the third derivative, which third differences show.
-    fn unresolved(&self) -> bool {
+    /// Returns what the collocation polynomials may lack, at most in any segment and summed over the segments, of the state for
+    /// which that is largest in units of the noise: the next coefficient, extrapolated from the last two as of a geometric
+    /// series. The trapezoid has but two: its error in a segment is h³/12 times the third derivative, which third differences
+    /// show.
+    fn neglected(&self) -> Neglected {
         let (order, scales) = (self.order, self.scales());
-        let mut paths = self.states.iter().zip(&scales);
-        if order == 2 && self.t.len() > 3 {
-            let third = |w: &[f64]| w[3] - 3.0 * w[2] + 3.0 * w[1] - w[0];
-            return paths.any(|(x, s)| x.windows(4).any(|w| third(w).abs() > 12.0 * COARSE * s));
-        }
         let rule = Lgl::new(order);
         // By the discrete orthogonality of the Legendre polynomials at the Lobatto points, where that of the highest
         // degree has the norm 2/degree in place of 2/(2 degree + 1).
@@ -164,16 +169,28 @@ impl CollocatedPath<'_> {
             let p = rule.nodes.iter().map(|x| legendre(degree, 2.0 * x - 1.0));
             p.zip(&rule.weights).map(|(p, w)| factor * p * w).collect()
         };
+        let trapezoid = order == 2 && self.t.len() > 3;
         let (before, last) = (row(order - 2, (2 * order - 3) as f64), row(order - 1, (order - 1) as f64));
-        paths.any(|(x, scale)| {
-            (0..(x.len() - 1) / (order - 1)).any(|s| {
+        let mut found = Neglected::default();
+        for (x, scale) in self.states.iter().zip(&scales) {
+            let third = |w: &[f64]| (w[3] - 3.0 * w[2] + 3.0 * w[1] - w[0]).abs() / (12.0 * scale);
+            let next = |s: usize| {
                 let points = &x[s * (order - 1)..=(s + 1) * (order - 1)];
                 let size =
                     |row: &[f64]| (row.iter().zip(points).map(|(w, x)| w * x).sum::<f64>() / scale).abs();
                 let (before, last) = (size(&before), size(&last));
-                last * last.min(before) > COARSE * before
-            })
-        })
+                if last == 0.0 { 0.0 } else { last * last.min(before) / before }
+            };
+            let (mut largest, mut sum) = (0.0, 0.0);
+            let mut add = |e: f64| (largest, sum) = (f64::max(largest, e), sum + e);
+            if trapezoid {
+                x.windows(4).map(third).for_each(&mut add);
+            } else {
+                (0..(x.len() - 1) / (order - 1)).map(next).for_each(&mut add);
+            }
+            found = Neglected { largest: found.largest.max(largest), sum: found.sum.max(sum) };
+        }
+        found
     }
 
     fn scales(&self) -> Vec<f64> {
@@ -199,13 +216,28 @@ impl Fit {
         self.paths(experiments, |path| path.integration_error())
     }
 
+    /// Tells whether the errors of all segments, each small beside the noise, may add up to more than it: a position is an
+    /// integral, and keeps all of them.
+    pub(super) fn may_accumulate_error(&self, experiments: &[Experiment]) -> bool {
+        self.neglected(experiments).is_some_and(|n| n.sum > ACCUMULATED)
+    }
+
+    /// Returns the most that the path of any experiment neglects; None without a mesh.
+    fn neglected(&self, experiments: &[Experiment]) -> Option<Neglected> {
+        let each = self.paths(experiments, |path| Ok(path.neglected())).ok()?;
+        let most = |a: Neglected, b: Neglected| Neglected {
+            largest: a.largest.max(b.largest),
+            sum: a.sum.max(b.sum),
+        };
+        each.into_iter().reduce(most)
+    }
+
     /// Returns a sentence on the segment whose integration error is largest, where that is not small beside the noise.
     ///
     /// The error itself is computed only where the path's last Legendre coefficients show that it may be as large: of a
     /// path that the mesh resolves they fall off fast, and to see that takes microseconds.
     pub(super) fn coarse_mesh_warning(&self, experiments: &[Experiment]) -> Option<String> {
-        let unresolved = self.paths(experiments, |path| Ok(path.unresolved())).ok()?;
-        if !unresolved.contains(&true) {
+        if self.neglected(experiments)?.largest <= COARSE {
             return None;
         }
         // Equations may not be finite between the points of the mesh.

@@ -63,7 +63,7 @@ impl Estimation<'_> {
             let better = !other.log_likelihood.is_nan()
                 && (fit.log_likelihood.is_nan() || other.log_likelihood > fit.log_likelihood + LESS);
             if better && (other.status.is_end() || !fit.status.is_end()) {
-                let why = if ended.is_end() { "matches no output well" } else { "has no optimum" };
+                let why = if ended.is_end() { "match no output well" } else { "reach no optimum" };
                 other.message = format!(
                     "{}; reached after {}, since the iterations from the start values {why}",
                     other.message,

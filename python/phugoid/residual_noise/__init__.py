@@ -33,6 +33,8 @@ _Indices: TypeAlias = NDArray[np.intp]
 
 # Part of the spacing by which a step may differ from whole ones and still tell what the spacing is.
 _OFF = 0.1
+# Segments with fewer samples than this, in the mean, are what jitter leaves of even times.
+_SHORT = 3
 # A gap counts at most so many steps where samples are placed one after the other: no noise is correlated across more.
 _LONGEST_GAP = 64
 
@@ -81,14 +83,16 @@ def uniform_segments(times: _Array) -> Sequence[UniformSegment]:
     """Return the segments of increasing times (n,): where a step is no multiple of the usual one, another begins.
 
     The usual step is the median; where more samples are missing than that tells, a lesser one that leaves fewer
-    segments.
+    segments. Where the times jitter so much that hardly any two are so far apart, all samples are one segment: each then
+    follows the one before, which noise with a correlation time tells better than that none follows another.
     """
     if times.size < 2:
         return [UniformSegment(slice(0, 1), np.zeros(1, dtype=np.intp))] if times.size else []
     steps = np.diff(times)
     # Steps that there are: of two that alternate the median is the mean.
     typical = np.quantile(steps, [0.5, 0.1], method="lower")
-    return min((_split(steps, float(step)) for step in typical), key=len)
+    found = min((_split(steps, float(step)) for step in typical), key=len)
+    return found if len(found) * _SHORT <= times.size else [sampled_segment(times)]
 
 
 def _split(steps: _Array, usual: float) -> list[UniformSegment]:

@@ -23,8 +23,8 @@ const FLOOR: f64 = 1e-6;
 const UNMEASURED: f64 = 1e-2;
 /// Errors of a segment below this, in units of the noise, are small beside it.
 const COARSE: f64 = 0.1;
-/// The same of all segments together.
-const ACCUMULATED: f64 = 1.0;
+/// The same of all segments together: the noise that a fit finds has what they add up to within it.
+const ACCUMULATED: f64 = 0.1;
 /// Points that are evaluated at a time.
 const CHUNK: usize = 4096;
 /// Most sweeps of Picard's iteration, and the change after which they end.

@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
-use super::fit::{Estimate, Fit};
+use super::fit::{Estimate, Fit, Record};
 use super::integration::IntegrationError;
+use super::print::short;
 use super::run::Watch;
 use super::{Estimation, Transcription};
 use crate::collocation::Settings;
@@ -12,7 +13,7 @@ use crate::experiment::Experiment;
 use crate::interpolate::Interpolation;
 use crate::interrupt::{Cause, current};
 use crate::mesh::Grid;
-use crate::solver::Status;
+use crate::solver::{Control, Settings as Solving, Status};
 
 const PASSES: usize = 10;
 /// The order is raised, one by one, while more than this part of the segments is too coarse, and while that helps.
@@ -27,6 +28,10 @@ const POINTS: usize = 2_000_000;
 const DIVISIONS: usize = 3;
 const PARTS: usize = 4;
 const GRADES: i32 = 3;
+/// From the path on a coarser mesh, which is near, the fit to that of half its segments takes few iterations; and
+/// log-likelihoods that differ by more are reported.
+const ITERATIONS: usize = 20;
+const DIFFERENT: f64 = 1.0;
 /// Times closer than this part of a segment are the same.
 const SAME: f64 = 1e-6;
 const UNKNOWN: &str = "converged on this mesh, but there was no time left to see whether it is fine enough; allow more \
@@ -134,6 +139,40 @@ impl Estimation<'_> {
             fit.refinement = Some(Refinement { tolerance, steps, first });
         }
         Ok(fit)
+    }
+
+    /// Warns where the fit on a mesh of segments half as long has another log-likelihood: errors that are small beside the
+    /// noise in each segment add up in states that are integrals, such as a position.
+    ///
+    /// Compared are fits that converged on a mesh of the usual order as it was given, and whose path shows that it may be so.
+    pub(super) fn compare_with_halves(&self, fit: &mut Fit) -> Result<(), Error> {
+        let few = self.solver.max_iterations < Solving::default().max_iterations;
+        let plain = self.transcription.is_collocation() && self.model.delays.is_empty() && self.own_solver.is_none();
+        let done = fit.refinement.is_some() || fit.smoothing.is_some() || !fit.warnings.is_empty();
+        let order = order_of(fit);
+        if few || !plain || done || order == 2 || fit.status != Status::Converged || current().stops() {
+            return Ok(());
+        }
+        if !fit.may_accumulate_error(self.experiments) || self.smooths() && fit.kinks_matter(self.experiments) {
+            return Ok(());
+        }
+        let halves = |record: &Record| {
+            let ends: Vec<f64> = record.mesh_t.iter().copied().step_by(order - 1).collect();
+            Grid::Edges(in_parts(&ends, 2))
+        };
+        let grid = fit.records.iter().map(halves).collect();
+        let solver = Solving { max_iterations: ITERATIONS, ..self.solver.clone() };
+        let finer = Estimation { solver, ..self.on_grid(order, grid).going_on_from(fit) };
+        let finer = finer.solve_on_mesh(&mut |_| Control::Continue)?;
+        if finer.status == Status::Converged && (finer.log_likelihood - fit.log_likelihood).abs() > DIFFERENT {
+            fit.warnings.push(format!(
+                "the mesh is coarse: with segments half as long the log-likelihood is {}, and not {}, for errors of the integration \
+                 add up along the records: refinement (Collocation(refine=True), Estimation::refine) divides the mesh as needed",
+                short(finer.log_likelihood, 6),
+                short(fit.log_likelihood, 6)
+            ));
+        }
+        Ok(())
     }
 
     /// The same estimation on another mesh.

@@ -44,6 +44,7 @@ impl Estimation<'_> {
             let mut fit = within.solve_all(&mut watch)?;
             within.compare_with_integration(&mut fit);
             within.refine_along_the_motion(&mut fit, &mut watch)?;
+            within.compare_with_halves(&mut fit)?;
             Ok(fit)
         })
     }

@@ -585,3 +585,16 @@ def test_wrong_options_and_wrong_extensions_are_refused(
     other = ph.candidates(oscillator())
     with pytest.raises(ph.DataError, match="the points have no"):
         other["v':x^3"].signals(path, {})
+
+
+def test_a_damper_between_two_masses_may_be_asymmetric_and_rub() -> None:
+    """Its relative velocity, a declared quantity, had squares and cubes, but neither |vd| nor sign(vd)."""
+    m = ph.Model("quarter car")
+    (road,) = m.inputs(road="m")
+    zs, zu, vs, vu = m.states(zs="m", zu="m", vs="m/s", vu="m/s")
+    k, c, kt = m.parameters(k=100.0, c=8.0, kt=900.0)
+    (vd,) = m.quantities(vd=vu - vs)
+    (force,) = m.quantities(Fd=c * vd + k * (zu - zs))
+    m.dynamics(zs=vs, zu=vu, vs=force, vu=kt * (road - zu) - 6.0 * force)
+    m.outputs(zs=zs, zu=zu)
+    assert {"Fd:|vd|", "Fd:sign(vd)", "Fd:vd^2"} <= {c.name for c in ph.candidates(m)}

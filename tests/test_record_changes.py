@@ -126,3 +126,37 @@ def test_offsets_of_an_input_are_named_where_another_place_cannot_stand_for_them
     assert f.cause == "de:bias_per_experiment", d.summary()
     differences = f.parameters["de[flight 2]"][0] - f.parameters["de[flight 1]"][0]
     assert abs(abs(differences) - 0.022) < 0.002
+
+
+def test_a_rudder_offset_of_each_record_is_found_beside_a_quadratic_damping() -> None:
+    """The offset stood for noise of a correlation time beyond the record, and a term in the heading was named with a
+    gain below its threshold."""
+    t = np.arange(0.0, 300.0, 1.0)
+
+    def ship(damping: str = "") -> ph.Model:
+        m = ph.Model("ship")
+        rate, heading = m.states(r="deg/s", psi="deg")
+        (rudder,) = m.inputs(rud="deg")
+        a, b = m.parameters(a=0.03 if damping else 0.05, b=0.005 if damping else 0.01)
+        m.dynamics(r=-a * rate + b * rudder - (0.04 * rate * abs(rate) if damping else 0.0), psi=rate)
+        m.outputs(r=rate, psi=heading)
+        return m
+
+    def record(seed: int, offset: float) -> ph.Experiment:
+        rng = np.random.default_rng(seed)
+        corners = np.r_[0.0, np.cumsum(rng.uniform(20.0, 50.0, 20))]
+        rudder = np.interp(t, np.sort(np.r_[corners, corners + 4.0]), np.repeat(rng.uniform(-25.0, 25.0, 21), 2))
+        moved = ph.Experiment(t, {"rud": rudder - offset})
+        run = ph.simulate(ship("quadratic"), {"a": 0.03, "b": 0.005}, moved, initial={"r": 0.1, "psi": 40.0})
+        noise = {"r": 0.02, "psi": 0.3}
+        y = {n: run.outputs[n] + s * rng.standard_normal(t.size) for n, s in noise.items()}
+        return ph.Experiment(t, {"rud": rudder}, y, name=f"{offset:g}")
+
+    d = ph.diagnose(ph.estimate(ship(), [record(1, 2.5), record(2, -1.5)]), validation=record(3, 1.0))
+    found = {f.cause: f for f in d.findings if f.status == "named"}
+    assert set(found) == {"rud:bias_per_experiment", "r':r|r|"}, d.summary()
+    # As the final model has it, not as it was beside a linear damping.
+    values = found["rud:bias_per_experiment"].parameters
+    for name, truth in {"2.5": -2.5, "-1.5": 1.5}.items():
+        value, error = next(v for key, v in values.items() if key.endswith(f"[{name}]"))
+        assert abs(value - truth) < 4.0 * error < 0.2

@@ -294,3 +294,23 @@ def test_a_mesh_on_which_a_fit_nearby_lies_is_not_divided_for_want_of_iterations
     fit = ph.estimate(oscillator(), other, start=near, solver=short, transcription=Collocation(refine=True))
     assert fit.status == "iteration limit" and not fit.feasible
     assert fit.records[0].mesh_t.size == near.records[0].mesh_t.size
+
+
+def test_errors_that_add_up_along_a_record_are_told() -> None:
+    """A position is an integral: errors of its speed, each small beside the noise, made its residuals four times as
+    large, with no word of it."""
+    m = ph.Model("servo")
+    (u,), (theta, w) = m.inputs(u="V"), m.states(theta="rad", w="rad/s")
+    a, k, c = m.parameters(a=3.0, k=20.0, c=5.0)
+    m.dynamics(theta=w, w=k * u - a * w - c * ph.tanh(w / 0.1))
+    m.outputs(theta=theta, w=w)
+    t, rng = np.arange(0.0, 10.0, 0.02), np.random.default_rng(5)
+    held = ph.Experiment(t, {"u": 2.0 * np.sin(3.0 * t) + 1.5 * np.sin(7.3 * t)}, interpolation="hold")
+    run = ph.simulate(m, {"a": 3.6, "k": 25.0, "c": 6.0}, held, initial={"theta": 0.0, "w": 0.0})
+    y = {"theta": run.outputs["theta"], "w": run.outputs["w"]}
+    y = {n: z + s * rng.standard_normal(t.size) for (n, z), s in zip(y.items(), (4e-4, 0.15), strict=True)}
+    record = ph.Experiment(t, held.inputs, y, interpolation="hold")
+    coarse, fine = ph.estimate(m, record), ph.estimate(m, record, transcription=Collocation(substeps=4))
+    assert fine.log_likelihood > coarse.log_likelihood + 10.0
+    (told,) = coarse.warnings
+    assert "the mesh is coarse: with segments half as long" in told and not fine.warnings

@@ -57,3 +57,13 @@ def test_values_on_a_grid() -> None:
     np.testing.assert_array_equal(segment.on_grid(np.ones((3, 2)), 0.0)[2], [0.0, 0.0])
     assert segment.mask.tolist() == [1.0, 1.0, 0.0, 1.0]
     assert segment.from_row(10).rows == slice(14, 17)
+
+
+def test_samples_whose_times_jitter_follow_each_other() -> None:
+    """They were taken for independent, so that sensor noise with a correlation time was called process noise."""
+    rng = np.random.default_rng(3)
+    t = np.arange(200.0) + rng.uniform(-0.3, 0.3, 200)
+    (one,) = uniform_segments(t)
+    assert one.rows == slice(0, 200) and len(one.runs) < 20
+    # Half of the samples on even times: their segments are long enough to be taken apart.
+    assert len(uniform_segments(np.r_[np.arange(100.0), 200.5 + np.arange(100.0)])) <= 2

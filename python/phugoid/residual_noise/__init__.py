@@ -35,6 +35,8 @@ _Indices: TypeAlias = NDArray[np.intp]
 _OFF = 0.1
 # Segments with fewer samples than this, in the mean, are what jitter leaves of even times.
 _SHORT = 3
+# Usual steps that jitter as little as this part of them from record to record are the same.
+_ALIKE = 0.05
 # A gap counts at most so many steps where samples are placed one after the other: no noise is correlated across more.
 _LONGEST_GAP = 64
 
@@ -211,7 +213,7 @@ def residual_of(record: Record, channel: str) -> _Array | None:
 def same_rate(series: Sequence[Series]) -> tuple[list[Series], list[Series]]:
     """Split series into those sampled at the rate that most samples have, and the others."""
     steps = np.array([s.segment.step for s in series])
-    alike = np.abs(steps[:, None] - steps) < 0.01 * steps  # [i, j]: as the step of j has it
+    alike = np.abs(steps[:, None] - steps) < _ALIKE * steps  # [i, j]: as the step of j has it
     most = int(np.argmax(np.array([s.r.size for s in series]) @ alike))
     pairs = list(zip(series, alike[:, most].tolist(), strict=True))
     return [s for s, same in pairs if same], [s for s, same in pairs if not same]

@@ -178,8 +178,9 @@ class Catalogue:
             yield EquationScale(name, place, words, "factor", self.scales, (scale,), (), (v.symbol,), power=power)
         if self.structure.is_product(place):
             yield from (self._law(place, v) for v in [*variables, *self.structure.declared_beside(place)])
-        for form in ("linear", "square", "cube", "quadratic"):
+        for form in ("linear", "square", "cube", "quadratic", "absolute"):
             yield from (term(form, v) for v in self.structure.declared_in(place))
+        yield from (term("sign", v) for v in self.structure.declared_in(place) if v.speed)
         if place.kind == "quantity":
             for form in ("linear", "square", "quadratic"):
                 yield from (term(form, v) for v in self.structure.declared_beside(place))

@@ -104,7 +104,13 @@ class ModelStructure:
         """Return the quantities that stand at a place and are defined exactly, without parameters: an angle of slip or
         a dynamic pressure, say, that forces are functions of."""
         symbols = {*self.expression(place).symbols}
-        return [Variable(n, n, "quantity") for n in self._defined if n in symbols]
+        # The difference of two speeds is one: that of a damper or of a bearing.
+        speeds = {v.symbol for v in self.variables if v.speed}
+        return [
+            Variable(n, n, "quantity", speed=speeds.issuperset(self.quantities[n].symbols))
+            for n in self._defined
+            if n in symbols
+        ]
 
     def declared_beside(self, place: Place) -> list[Variable]:
         """Return the other quantities that are defined exactly from states and inputs: an angle of attack that a

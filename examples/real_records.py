@@ -12,6 +12,8 @@ pendulum2   alone.
 cart2_...,  a cart on a rail in a limit cycle that a relay keeps up: a model with viscous friction alone. The friction
 cart3_...   depends on the direction and on the place on the rail, which by one record is a constant force.
 ball        a ball on a beam in a closed loop: a model with gain and offset.
+f16         an F-16 on the ground, shaken by a multisine: six linear modes. The mounting of a payload has clearance and
+            dry friction. (Minutes, 2 GB.)
 
     python examples/real_records.py [hfb320 attas ...] [--out out/real_records]
 
@@ -31,6 +33,7 @@ from html import escape
 from pathlib import Path
 
 import attas
+import f16_vibration as f16
 import hfb320
 import numpy as np
 from records import find
@@ -147,6 +150,24 @@ def ball_and_beam() -> Case | None:
     return Case(m, [piece(k) for k in range(30, 551, 50)], [piece(k) for k in range(600, 951, 50)], known)
 
 
+def f16_case() -> Case | None:
+    """Return two periods of the force to fit and one held out, with six linear modes."""
+    run = f16.recorded()
+    if run is None:
+        return None
+    fitted, held_out = f16.periods(run, 1, 3), f16.periods(run, 5, 6)
+    begin = ph.linear.subspace(fitted, 12, offset=False, stable=True)
+    model = ph.models.modal(start=begin, feedthrough=True, stable=True)
+    parts = [
+        ph.Experiment(e.t, e.inputs, e.outputs, name=n) for e, n in ((fitted, "two periods"), (held_out, "another"))
+    ]
+    known = (
+        "Clearance and dry friction in a mounting make the mode near 7.3 Hz, the fifth, nonlinear (Noël and Schoukens)."
+    )
+    mode = ("x_5a':hysteresis_x_5b", "x_5b':hysteresis_x_5a", "x_5a':hysteresis_x_5a", "x_5b':hysteresis_x_5b")
+    return Case(model, parts[:1], parts[1:], known, (*mode, *f16.SOFTENING, "x_5a':x_5b|x_5b|"))
+
+
 def laboratory(name: str) -> np.ndarray | None:
     """Return the rows of a laboratory record; None where it is not there."""
     path = find(f"known/{name}.csv")
@@ -169,6 +190,7 @@ CASES: dict[str, Callable[[], Case | None]] = {
     "cart3_42": lambda: cart(3, "42"),
     "cart3_60": lambda: cart(3, "60"),
     "ball": ball_and_beam,
+    "f16": f16_case,
 }
 
 

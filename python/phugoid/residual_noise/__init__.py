@@ -85,8 +85,8 @@ def uniform_segments(times: _Array) -> Sequence[UniformSegment]:
     """Return the segments of increasing times (n,): where a step is no multiple of the usual one, another begins.
 
     The usual step is the median; where more samples are missing than that tells, a lesser one that leaves fewer
-    segments. Where the times jitter so much that hardly any two are so far apart, all samples are one segment: each then
-    follows the one before, which noise with a correlation time tells better than that none follows another.
+    segments. Where times jitter so much that hardly any two are so far apart, all samples are one segment: that each
+    follows the one before describes noise with a correlation time better than that none does.
     """
     if times.size < 2:
         return [UniformSegment(slice(0, 1), np.zeros(1, dtype=np.intp))] if times.size else []

@@ -118,7 +118,7 @@ def test_what_cannot_be_right_is_refused() -> None:
         (ph.OptionError, "n_modes is a whole number, not 1.5", lambda: ph.models.modal(1.5)),  # type: ignore[arg-type]
         (ph.OptionError, "at least 1, or n_real", lambda: ph.models.modal(0)),
         (ph.OptionError, 'scale is "fixed" or "free", not \'both\'', lambda: ph.models.modal(1, scale="both")),  # type: ignore[arg-type]
-        (ph.OptionError, "'z' is no output", lambda: ph.models.modal(1, feedthrough=["z"])),
+        (ph.OptionError, "'z' is not an output", lambda: ph.models.modal(1, feedthrough=["z"])),
         (ph.OptionError, "a positive number for each of 2 modes", lambda: ph.models.modal(2, frequencies_hz=[1.0])),
         (ph.OptionError, "not both", lambda: ph.models.modal(start=good, frequencies_hz=[1.0])),
         (ph.OptionError, "inputs holds names of channels", lambda: ph.models.modal(1, [])),

@@ -159,7 +159,7 @@ def corrected(fit: Fit, record: Record, run: Experiment) -> Experiment:
     model = fit.model
     quantities = {n.removesuffix(_SUFFIX): n for n in model.quantity_names if n.endswith(_SUFFIX)}
     if "V" not in model.state_names or "q" not in quantities:
-        raise ModelError(f"'{model.name}' is no model of a flight path: make one with models.flight_path")
+        raise ModelError(f"'{model.name}' is not a flight-path model: make one with models.flight_path")
     known, own = model.quantity_expressions(), fit._own(record.name)
     compiled = CompiledExpressions(
         [known[n] for n in quantities.values()], model.parameter_names, model.input_names, model.state_names
@@ -318,7 +318,7 @@ def reconstruct(
         names = model if model is not None else _outputs(runs, bool(options.get("longitudinal")))
         made = flight_path(names, **options)
     if "V" not in made.state_names or "q_true" not in made.quantity_names:
-        raise ModelError(f"reconstruct: '{made.name}' is no model of a flight path: make one with models.flight_path")
+        raise ModelError(f"reconstruct: '{made.name}' is not a flight-path model: make one with models.flight_path")
     ready = [_turning(_unwrapped(run, made), made) for run in runs]
     begin = dict(start or {})
     if "V" in made.delays.outputs:

@@ -391,7 +391,7 @@ def _matrix(name: str, value: Any) -> _Array:
     try:
         matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ModelError(f"state space: {name} is no matrix of real numbers") from None
+        raise ModelError(f"state space: {name} is not a matrix of real numbers") from None
     if matrix.ndim != 2:
         raise ModelError(f"state space: {name} has shape {matrix.shape}; give a matrix")
     if not np.isfinite(matrix).all():

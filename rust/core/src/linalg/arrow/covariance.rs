@@ -1,4 +1,4 @@
-//! The covariance of parameters and first states.
+//! The covariance of parameters and initial states.
 
 use nalgebra::DMatrix;
 
@@ -31,7 +31,7 @@ impl ArrowKkt {
             of_border.row_mut(i).fill(0.0);
             of_border.column_mut(i).fill(0.0);
         }
-        // Everything wanted follows θ, and first states of one chain vary beside.
+        // Everything wanted follows θ, and initial states of one chain vary beside.
         let mut follow = DMatrix::zeros(k, size);
         let mut beside = DMatrix::<f64>::zeros(k, k);
         let mut found = 0;

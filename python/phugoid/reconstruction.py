@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Reconstruction", "VanePlaces", "compare_places", "reconstruct"]
+__all__ = ["Reconstruction", "VanePositions", "compare_places", "reconstruct"]
 
 
 _Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ _OFF = 3.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class VanePlaces:
+class VanePositions:
     """A fit with the positions of vanes estimated, in place of the delays of these channels that were asked for.
 
     channels   those of ``alpha`` and ``beta`` whose vane was given no position.
@@ -116,7 +116,7 @@ class VanePlaces:
         return f"<Positions of vanes of {', '.join(self.channels)}: {self.gain:+.1f} ± {self.deviation:.1f}>"
 
 
-def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePlaces | None:
+def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePositions | None:
     """Compare a fit with another of the same records that estimates places; None where they do not compare."""
     usable = ENDED_WELL
     if fit.status not in usable or places.status not in usable:
@@ -129,7 +129,7 @@ def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePlaces
     )
     delayed = tuple(c for c in channels if c in fit.model.delays.outputs)
     deviation = float(np.sqrt(gains.size) * np.std(gains, ddof=1))
-    return VanePlaces(tuple(channels), delayed, places, float(gains.sum()), deviation)
+    return VanePositions(tuple(channels), delayed, places, float(gains.sum()), deviation)
 
 
 def _log_densities(fit: Fit) -> list[_Array] | None:
@@ -200,7 +200,7 @@ class Reconstruction:
 
     fit: Fit
     runs: tuple[Experiment, ...]
-    places: VanePlaces | None = None
+    places: VanePositions | None = None
 
     @cached_property
     def corrected(self) -> tuple[Experiment, ...]:
@@ -332,7 +332,7 @@ def reconstruct(
 
 def _with_vane_positions(
     fit: Fit, runs: Sequence[Experiment], start: Mapping[str, Any], noise: Any, options: Mapping[str, Any]
-) -> VanePlaces | None:
+) -> VanePositions | None:
     """Return the positions of the vanes that were not given, estimated in place of delays."""
     outputs = fit.model.output_names
     channels = [c for c in _VANES if c in outputs and options.get(f"{c}_vane") is None]

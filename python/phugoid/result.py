@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from .solvers import Iteration
     from .uncertainty.bands import Bands
     from .uncertainty.bootstrap import Bootstrap
-    from .uncertainty.coloured import Coloured
+    from .uncertainty.coloured import CorrectedErrors
     from .uncertainty.correlation import Correlation
     from .uncertainty.profile import Profiles
     from .validation import Validation
@@ -63,7 +63,7 @@ class Fit(FitResult):
         """
         return (self.robust().parameters if robust else self.parameters).conf_int(level)
 
-    def robust(self) -> Coloured:
+    def robust(self) -> CorrectedErrors:
         """Return standard errors corrected for autocorrelated residuals: of parameters and initial states, by name; the
         covariance; and the ratios to the plain standard errors.
 
@@ -79,7 +79,7 @@ class Fit(FitResult):
         return coloured(self)
 
     @property
-    def coloured(self) -> Coloured:
+    def coloured(self) -> CorrectedErrors:
         """The result of `robust`. This property is removed in the next release."""
         from .uncertainty.coloured import coloured
 

@@ -374,7 +374,7 @@ def only(caller: str, kind: str, name: str | None, names: Sequence[str]) -> str:
             )
         return names[0]
     if name not in names:
-        raise ModelError(f"{caller}: '{name}' is no {kind}.{listing(str(name), names)}")
+        raise ModelError(f"{caller}: '{name}' is not an {kind}.{listing(str(name), names)}")
     return name
 
 

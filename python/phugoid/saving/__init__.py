@@ -308,14 +308,14 @@ def check_kinds(
     """Raise DataError unless the values of these names are of these kinds; ``numbers`` may be NaN or infinite."""
     kinds: list[tuple[Iterable[str], str, Callable[[Any], bool]]] = [
         (texts, "text", lambda v: isinstance(v, str)),
-        (whole, "whole number from 0", lambda v: type(v) is int and 0 <= v <= _WHOLE),
-        (numbers, "number", lambda v: type(v) is float or (type(v) is int and abs(v) <= _WHOLE)),
-        (flags, "truth value", lambda v: isinstance(v, bool)),
+        (whole, "a whole number from 0", lambda v: type(v) is int and 0 <= v <= _WHOLE),
+        (numbers, "a number", lambda v: type(v) is float or (type(v) is int and abs(v) <= _WHOLE)),
+        (flags, "a truth value", lambda v: isinstance(v, bool)),
     ]
     for names, kind, fits in kinds:
         for name in names:
             where = f"{place}.{name}" if place else name
-            _require(fits(values[name]), f"{where} is no {kind}, but {_brief(values[name])}")
+            _require(fits(values[name]), f"{where} is not {kind}, but {_brief(values[name])}")
 
 
 def _parameters(fit: FitResult) -> None:

@@ -130,7 +130,7 @@ def test_what_cannot_be_right_is_refused() -> None:
         (ph.ModelError, "B has shape", lambda: ph.models.modal(start=(twice[0], [[1.0]], [[1.0, 0.0]]))),
         (ph.ModelError, "A holds numbers that are not finite", lambda: ph.linear.StateSpace([[np.nan]], [[1]], [[1]])),
         (ph.ModelError, "C has shape", lambda: ph.linear.StateSpace([[1.0]], [[1]], [1.0])),
-        (ph.ModelError, "no matrix of real numbers", lambda: ph.linear.StateSpace([["a"]], [[1]], [[1]])),
+        (ph.ModelError, "is not a matrix of real numbers", lambda: ph.linear.StateSpace([["a"]], [[1]], [[1]])),
         (
             ph.ModelError,
             "2 inputs are named, but the matrices have 1",

@@ -761,7 +761,7 @@ def test_sympy_matrix_becomes_an_array() -> None:
         (sympy.Function("f")(X).diff(X), "SymPy's Derivative"),
         (sympy.Piecewise((X, X > 0)), "no value outside its pieces; add a last one with True"),
         (sympy.I * X, "holds I, which is not a finite real number"),
-        (sympy.oo, "no finite real number"),
+        (sympy.oo, "is not a finite real number"),
         (3, "3 is a int, not a SymPy expression"),
         ("x + 1", "is a str, not a SymPy expression"),
     ],

@@ -119,7 +119,7 @@ def estimate(runs: ph.Experiment | list[ph.Experiment]) -> ph.Fit:
 
 
 def validate(fit: ph.Fit, run: ph.Experiment) -> ph.results.Validation:
-    """The derivatives of a fit on another record: only trim, bias and the first states are re-estimated."""
+    """The derivatives of a fit on another record: only trim, bias and the initial states are re-estimated."""
     return fit.validate(run, biases=TRIM)
 
 

@@ -98,7 +98,7 @@ def as_fit(begin: ph.linear.StateSpace, run: ph.Experiment) -> ph.Fit:
 
 
 def fractions(check: ph.results.Validation) -> dict[str, float]:
-    """Output -> root mean square of the residuals over that of the signal; first states were free."""
+    """Output -> root mean square of the residuals over that of the signal; initial states were free."""
     (record,) = check.records
     return {n: rms(record.residuals[n]) / rms(record.measured[n]) for n in OUTPUTS}
 

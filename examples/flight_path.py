@@ -22,7 +22,7 @@ them or less):
     Besides the place there may be a delay of beta, 0.018 ± 0.007 s; there is none of alpha.
     The aerodynamic model of `attas.py` says the same from the other side: K = 0.997 ± 0.014 with the place.
     Gyros are off by 0.001 to 0.003 rad/s, accelerometers by 0.01 to 0.09 m/s^2. The bias of q differs from record to
-    record by 2e-4 rad/s, three times its standard error: what drifts is no constant.
+    record by 2e-4 rad/s, three times its standard error: what drifts is not a constant.
     Altitude does not follow the flight path: in the manoeuvre it is off by up to 10 m, downwards where the angle of
     attack is large, as it is where that changes the static pressure. So altitude is left out, and with it a bias of
     alpha, which nothing else would tell.

@@ -32,7 +32,7 @@ import phugoid as ph
 
 # What the twin has and the model has not, by canonical name.
 HIDDEN = {"alpha:scale": 0.08, "de:delay": 0.08}  # parts of the angle; s
-# Of the flight record's standard deviations most is no noise of the sensors.
+# Of the flight record's standard deviations most is not noise of the sensors.
 SIGMA = {name: 0.5 * sigma for name, sigma in hfb320.SIGMA.items()}
 
 

@@ -185,7 +185,7 @@ def test_scales_are_those_of_the_record(path: ph.results.Points, library: ph.res
 def test_a_collection_is_read_by_number_name_and_pattern(library: ph.results.Candidates) -> None:
     assert library[0] is library[library[0].name] and len(library[:5]) == 5
     assert library["Cm:alpha*q"] in library and "Cm:alpha*q" in library
-    assert library.only("Cm:alpha*q").names == ("Cm:alpha*q",)  # its star is no wild card
+    assert library.only("Cm:alpha*q").names == ("Cm:alpha*q",)  # its star is not a wild card
     assert len(library.without("*:lag_*", "Cm:periodic")) == len(library) - 7
     assert (library.only("Cm:*") + library.only("de:*")).names == library.only("Cm:*", "de:*").names
     assert {c.family for c in library} < {*FAMILIES}  # type: ignore[attr-defined]

@@ -85,7 +85,7 @@ def test_changed_model_is_independent() -> None:
         (lambda m: m.with_parameters(kk=1.0), "with_parameters: 'kk' is not a parameter. Did you mean 'k'?"),
         (lambda m: m.with_parameters(k=1.0), "with_parameters: 'k': a parameter's start 1 lies outside its bounds"),
         (lambda m: m.with_parameters(k="one"), "with_parameters: 'k'"),
-        (lambda m: m.with_terms({"q": 1.0}), "with_terms: 'q' is no equation. Did you mean"),
+        (lambda m: m.with_terms({"q": 1.0}), "with_terms: 'q' is not an equation. Did you mean"),
         (lambda m: m.with_terms({"M": "a"}), "with_terms: the term of 'M'"),
         (lambda m: m.with_terms({"M": 1.0}, {"k": 1.0}), "with_terms: the model has a parameter 'k' already"),
     ],

@@ -163,7 +163,7 @@ def test_white_limit_is_the_covariance_of_the_fit(model: ph.Model, noise: ph.Gau
 
 
 def unstable() -> ph.Fit:
-    """An unstable system that an input keeps near 0: first states alone tell nothing of it."""
+    """An unstable system that an input keeps near 0: initial states alone tell nothing of it."""
     m = ph.Model("unstable")
     x, v = m.states("x v")
     (u,) = m.inputs("u")

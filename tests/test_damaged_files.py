@@ -48,11 +48,11 @@ DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "no records": (put("records", []), "records: there is none"),
     "a record without an output": (lambda d: d["records"][0]["outputs"].clear(), r"records\[0\].outputs: names"),
     "an estimate without a name of the model": (put("parameters", 0, "name", "b"), "parameters: 'a' is missing"),
-    "an estimate that is no number": (put("parameters", 0, "value", None), "parameters.a.value is nan"),
-    "a text for a number": (put("parameters", 0, "fixed", "no"), "parameters.a.fixed is no truth value"),
+    "an estimate that is not a number": (put("parameters", 0, "value", None), "parameters.a.value is nan"),
+    "a text for a number": (put("parameters", 0, "fixed", "no"), "parameters.a.fixed is not a truth value"),
     "an unknown status": (put("status", "fine"), "status is 'fine', which is none"),
     "a size of 1e13": (put("solution", "bound_multipliers", "lower", "size", 10**13), "bound_multipliers"),
-    "a whole number of 400 digits": (put("iterations", 10**400), "iterations is no whole number"),
+    "a whole number of 400 digits": (put("iterations", 10**400), "iterations is not a whole number"),
     "unknowns in excess": (lambda d: d["solution"]["xi"].append([1.0]), "solution|inhomogeneous"),
     "experiments of other records": (put("experiments", 0, "name", "b"), "experiments: are not the records'"),
     "an experiment with fewer samples": (
@@ -86,7 +86,7 @@ def test_damage_is_named_with_its_place(what: str, sealing: str, fit: ph.Fit, tm
 def test_nesting_beyond_the_stack_is_an_error(tmp_path: Path) -> None:
     path = tmp_path / "fit.json"
     path.write_text('{"format": "phugoid-fit", "version": 2, "model": ' + "[" * 100_000, encoding="utf-8")
-    with pytest.raises(ph.DataError, match="is no complete JSON"):
+    with pytest.raises(ph.DataError, match="is not complete JSON"):
         ph.load(path)
 
 

@@ -142,7 +142,7 @@ def elsewhere() -> ph.results.Candidates:
         (lambda: [*ph.candidates(servo().model)][:1] * 2, OptionError, "candidate 'torque:angle' is given twice"),
         (lambda: ph.candidates(make("duffing", (), "", "white", 1).model), OptionError, "quantity 'f', which the"),
         (lambda: [elsewhere()["torque:a*b"]], DataError, "no state, input or quantity 'a'"),
-        (lambda: ["torque:sign(rate)"], OptionError, r"'torque:sign\(rate\)', which is no Candidate: make them by"),
+        (lambda: ["torque:sign(rate)"], OptionError, r"'torque:sign\(rate\)', which is not a Candidate: make them by"),
         (lambda: {"torque": [symbol("rate")]}, ModelError, "torque:rate: the model has this already"),
         (lambda: {"torque": [symbol("rate") ** 5] * 2}, ModelError, r"torque:rate\^5 and torque:rate\^5 are the same"),
         (lambda: {"torque": [symbol("d") * symbol("rate")]}, ModelError, "holds the parameter 'd'"),

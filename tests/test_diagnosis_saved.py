@@ -114,7 +114,7 @@ def test_the_command_line_saves_one(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     done = run("diagnose", "model.py", "run1.csv", "--save", "d.json")
     assert done.exit_code in (0, 1) and done.stdout.endswith("Written: d.json\n"), done.output
     assert done.stdout.startswith(ph.load("d.json").summary())
-    # A diagnosis is no fit to go on from.
+    # A diagnosis is not a fit to go on from.
     wrong = run("validate", "d.json", "run2.csv")
     assert wrong.exit_code == 2 and "holds a diagnosis, not a model or a fit" in wrong.stderr
     wrong = run("diagnose", "model.py", "run1.csv", "--save", "d.txt")

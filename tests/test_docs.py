@@ -269,7 +269,7 @@ def test_docstrings_become_restructured_text(monkeypatch: pytest.MonkeyPatch) ->
         "q\\*alpha, 2\\*\\*3, *A Title*, `estimate`, ``a*b``"
     )
     assert made(">>> f(1)\n2") == ">>> f(1)\n2"
-    # What is no table stays a paragraph.
+    # What is not a table stays a paragraph.
     assert made("One sentence.  Another one\nthat goes on.") == "One sentence.  Another one\nthat goes on."
 
 

@@ -154,7 +154,7 @@ def test_refuses_output_that_is_missing_throughout() -> None:
         (np.cos(T) + 0j, "complex"),
         (["0.1"] * 11, "text"),
         (np.arange(11).astype("datetime64[s]"), "dates"),
-        ([[1.0]] * 10 + [[1.0, 2.0]], "no array of numbers"),
+        ([[1.0]] * 10 + [[1.0, 2.0]], "is not an array of numbers"),
         ([1.0, "high", *T[2:]], "text"),
     ],
 )

@@ -295,7 +295,7 @@ def test_late_inputs_are_inputs_of_their_own_where_asked_for(tmp_path: Path) -> 
 def test_bad_input(tmp_path: Path) -> None:
     m = odd_names()
     for name in ("1st", "a-b", "int", "", "größe"):
-        with pytest.raises(OptionError, match="no name in C"):
+        with pytest.raises(OptionError, match="is not a name in C"):
             ph.export_c(m, tmp_path, {"h": 1.0}, name=name)
     with pytest.raises(ModelError, match="a model needs parameters"):
         ph.export_c(m, tmp_path)

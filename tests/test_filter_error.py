@@ -22,7 +22,7 @@ TRUTH = {"Zw": -1.4, "Zq": -1.5, "Zde": -6.3, "Mw": -0.15, "Mq": -2.7, "Mde": -1
 SIGMA = {"w": 0.1, "q": 0.003, "az": 0.05}
 BOTH = FilterError(("w", "q"))
 COARSE = replace(BOTH, substeps=FEWEST[0], terms=FEWEST[1])  # where the likelihood is asked for by itself
-MAXIMISED = {"w": None, "q": None}  # first states as in the output-error method
+MAXIMISED = {"w": None, "q": None}  # initial states as in the output-error method
 
 
 def short_period(**parameters: Any) -> Model:

@@ -273,10 +273,10 @@ def test_attas_vanes_on_the_boom_are_in_scale_and_regression_agrees_with_output_
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"outputs": "V alfa"}, "'alfa' is no output of it. Did you mean 'alpha'"),
+        ({"outputs": "V alfa"}, "'alfa' is not an output of it. Did you mean 'alpha'"),
         ({"outputs": "alpha theta"}, "V, the true airspeed, must be among the outputs"),
         ({"outputs": "V V"}, "each once"),
-        ({"outputs": "V beta", "longitudinal": True}, "'beta' is no output"),
+        ({"outputs": "V beta", "longitudinal": True}, "'beta' is not an output"),
         ({"biases": ("aq",)}, "biases: there is no such channel 'aq'"),
         ({"scales": ("psi",)}, "scales: there is no such channel 'psi'"),
         ({"late": ("q",)}, "late: there is no such channel 'q'"),
@@ -295,7 +295,7 @@ def test_what_cannot_be_is_refused_in_words(options: dict[str, Any], says: str) 
 
 def test_reconstruct_refuses_other_models_and_double_options(truth: ph.results.Record) -> None:
     run = twin.measured(truth, 0)
-    with pytest.raises(ph.ModelError, match="'twin' is no model of a flight path"):
+    with pytest.raises(ph.ModelError, match="'twin' is not a flight-path model"):
         ph.reconstruct(run, twin.aircraft())
     with pytest.raises(ph.OptionError, match="late: options make a model"):
         ph.reconstruct(run, ph.models.flight_path(), late=LATE)

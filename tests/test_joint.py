@@ -108,6 +108,6 @@ def test_turbulence_is_no_missing_physics(seed: int) -> None:
     lag = [np.corrcoef(r[1:], r[:-1])[0, 1] for r in fit.residuals.values()]
     assert max(lag) > 0.85  # strong colour
     d = ph.diagnose(fit)
-    # It is no term of the physics, but a disturbance on the state that it acts on.
+    # It is not a term of the physics, but a disturbance on the state that it acts on.
     assert [f.cause for f in d.findings if f.status != "unexplained"] == ["alpha':noise"], d
     assert not d.extend().added

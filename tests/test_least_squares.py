@@ -140,7 +140,7 @@ def test_errors_are_beside_all_tangents() -> None:
 
 
 def test_the_step_is_that_of_generalised_least_squares() -> None:
-    """Against the normal equations in parameters and first states, and the fit that the step leads to."""
+    """Against the normal equations in parameters and initial states, and the fit that the step leads to."""
     found, w = (part[2] for part in coloured())
     outputs, moves = w.linear.moves
     columns = w.filter((outputs * w.linear.scale()[:, None]).T).T

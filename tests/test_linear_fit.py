@@ -74,7 +74,7 @@ def test_it_betters_the_subspace_method_on_several_outputs_experiments_and_gaps(
     "poles", [(-0.3 + 6.0j, -2.0, -5.0, -1.0), (-0.4, -0.41, -3.0 + 0.1j), (0.05 + 4.0j, 0.1, -1.0, -0.2 + 9.0j)]
 )
 def test_derivatives_are_those_of_the_simulated_outputs(poles: tuple[complex, ...]) -> None:
-    """By differences, what B, D, first states and offsets can do projected out; pairs that are real, and growth."""
+    """By differences, what B, D, initial states and offsets can do projected out; pairs that are real, and growth."""
     truth = system(poles, m=2, p=2)
     data = run(truth, 120)
     records = Sampled.of(data, truth.inputs, truth.outputs)
@@ -88,7 +88,7 @@ def test_derivatives_are_those_of_the_simulated_outputs(poles: tuple[complex, ..
     z = weights * np.concatenate([data.output(y) for y in truth.outputs])
 
     def basis(at: ModalBlocks) -> np.ndarray:
-        """What first states, B and offsets can do: orthonormal columns (2 N, k)."""
+        """What initial states, B and offsets can do: orthonormal columns (2 N, k)."""
         found, C, _ = at.modal()
         driven = records.driven[0]
         seen = list(np.kron(np.eye(2), np.ones((1, data.n))))
@@ -241,7 +241,7 @@ def test_bad_input_is_named() -> None:
     data = run(truth)
     with pytest.raises(ph.OptionError, match="moves is a whole number from 0, not -1"):
         ph.linear.fit_linear(truth, data, moves=-1)
-    with pytest.raises(ph.OptionError, match="feedthrough: 'z' is no output"):
+    with pytest.raises(ph.OptionError, match="feedthrough: 'z' is not an output"):
         ph.linear.fit_linear(truth, data, feedthrough="z")
     with pytest.raises(ph.OptionError, match="progress is True, False or a function"):
         ph.linear.fit_linear(truth, data, progress=1)  # type: ignore[arg-type]

@@ -152,7 +152,7 @@ def outputs(fit: ph.Fit, data: Sequence[ph.Experiment]) -> np.ndarray:
 def of_refits(
     fit: ph.Fit, data: Sequence[ph.Experiment], candidate: Candidate, size: float, free: Sequence[str]
 ) -> np.ndarray:
-    """How the outputs change with the coefficient when free parameters and first states are estimated again: central
+    """How the outputs change with the coefficient when free parameters and initial states are estimated again: central
     differences."""
     found = []
     for c in (size, -size):
@@ -220,7 +220,7 @@ def test_initial_conditions_are_met() -> None:
     m = oscillator(conditions=True)
     data = [record(m, f"run {i}", i, x0=0.5) for i in range(2)]
     linear = compare(ph.estimate(m, data, noise=NOISE), data, PLACES)
-    # Five parameters; first states are functions of one of them.
+    # Five parameters; initial states are functions of one of them.
     assert linear.tangents.shape[1] == 5
 
 
@@ -298,7 +298,7 @@ def test_what_is_late() -> None:
     assert fit.converged
     linear = compare(fit, data, ("F:x*v", "v':x^2", "a:u", "u:scale"))
     late = linear.fit.parameters["slow"].value
-    assert linear.counts == [400 - 4, 400, 400 - 4]  # those that reach back are no data of the matched fit
+    assert linear.counts == [400 - 4, 400, 400 - 4]  # those that reach back are not data of the matched fit
     linear = Linearised(fit)
     assert linear.counts == [400, 400, 400] and linear.n_rows == 3 * 400 - 2 * 4
     measured = np.concatenate([e.t for _ in SIGMA for e in data])[linear.measured_rows]

@@ -1,4 +1,4 @@
-"""Manoeuvres found in a long record: their spans and kinds, what is no manoeuvre, and records cut out of it."""
+"""Manoeuvres found in a long record: their spans and kinds, what is not a manoeuvre, and records cut out of it."""
 
 from __future__ import annotations
 

@@ -264,11 +264,11 @@ def test_an_experiment_that_is_worse_is_named() -> None:
     c = misfit(fit(*runs)).channels["az"]
     assert {span.experiment for span in c.spans} == {"run 2"}
     assert "of 'run 2'" in c.summary()
-    assert not c.coloured  # louder is no colour
+    assert not c.coloured  # louder is not colour
 
 
 def test_experiments_are_not_joined() -> None:
-    """What ends one record and begins the next is no neighbour."""
+    """What ends one record and begins the next is not a neighbour."""
     whole = coloured(3, 0.9, 1200)
     parts = [record(f"{k}", 200, az=whole[200 * k : 200 * k + 200]) for k in range(6)]
     assert misfit(fit(*parts)).channels["az"].noise == pytest.approx(1.0, abs=0.1)

@@ -120,7 +120,7 @@ def test_what_cannot_be_right_is_refused() -> None:
     cases: list[tuple[type[Exception], str, Any]] = [
         (ph.ModelError, "is infinite", lambda: integrator.frequency_response([0.0, 1.0])),
         (ph.ModelError, "there are several inputs: say which", lambda: model_response(m, HZ, parameters=VALUES)),
-        (ph.ModelError, "'v' is no input", lambda: model_response(m, HZ, "v", "x", parameters=VALUES)),
+        (ph.ModelError, "'v' is not an input", lambda: model_response(m, HZ, "v", "x", parameters=VALUES)),
         (ph.DataError, "increasing", lambda: model_response(m, HZ[::-1], "u", "x", parameters=VALUES)),
         (ph.ModelError, "a Fit or a Model", lambda: model_response(3, HZ)),  # type: ignore[arg-type]
     ]

@@ -118,7 +118,7 @@ def test_what_cannot_be_right_is_refused() -> None:
         (ph.OptionError, "n_modes is a whole number, not 1.5", lambda: ph.models.modal(1.5)),  # type: ignore[arg-type]
         (ph.OptionError, "at least 1, or n_real", lambda: ph.models.modal(0)),
         (ph.OptionError, 'scale is "fixed" or "free", not \'both\'', lambda: ph.models.modal(1, scale="both")),  # type: ignore[arg-type]
-        (ph.OptionError, "'z' is no output", lambda: ph.models.modal(1, feedthrough=["z"])),
+        (ph.OptionError, "'z' is not an output", lambda: ph.models.modal(1, feedthrough=["z"])),
         (ph.OptionError, "a positive number for each of 2 modes", lambda: ph.models.modal(2, frequencies_hz=[1.0])),
         (ph.OptionError, "not both", lambda: ph.models.modal(start=good, frequencies_hz=[1.0])),
         (ph.OptionError, "inputs holds names of channels", lambda: ph.models.modal(1, [])),
@@ -130,7 +130,7 @@ def test_what_cannot_be_right_is_refused() -> None:
         (ph.ModelError, "B has shape", lambda: ph.models.modal(start=(twice[0], [[1.0]], [[1.0, 0.0]]))),
         (ph.ModelError, "A holds numbers that are not finite", lambda: ph.linear.StateSpace([[np.nan]], [[1]], [[1]])),
         (ph.ModelError, "C has shape", lambda: ph.linear.StateSpace([[1.0]], [[1]], [1.0])),
-        (ph.ModelError, "no matrix of real numbers", lambda: ph.linear.StateSpace([["a"]], [[1]], [[1]])),
+        (ph.ModelError, "is not a matrix of real numbers", lambda: ph.linear.StateSpace([["a"]], [[1]], [[1]])),
         (
             ph.ModelError,
             "2 inputs are named, but the matrices have 1",

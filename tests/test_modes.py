@@ -153,7 +153,7 @@ def test_parameters_of_each_experiment_are_asked_for() -> None:
     fit = ph.estimate(m, runs)
     with pytest.raises(ph.ModelError, match="each experiment has its own a: say which, experiment='run0'"):
         ph.linear.modes(fit)
-    with pytest.raises(ph.ModelError, match="'run2' is no experiment of the fit. Did you mean"):
+    with pytest.raises(ph.ModelError, match="'run2' is not an experiment of the fit. Did you mean"):
         ph.linear.modes(fit, experiment="run2")
     for k, constant in enumerate((2.0, 0.5)):
         (mode,) = ph.linear.modes(fit, experiment=f"run{k}")

@@ -246,7 +246,7 @@ def test_the_best_amplitude_is_at_the_limit_and_the_best_width_within() -> None:
         ({"noise": {**NOISE, "r": 0.1}}, ph.ModelError, "'r' is not an output"),
         ({"noise": {**NOISE, "q": 0.0}}, ph.OptionError, "noise of 'q' is a positive standard deviation"),
         ({"noise": NOISE, "values": {"Mww": 1.0}}, ph.ModelError, "'Mww' is not a parameter. Did you mean 'Mw'"),
-        ({"noise": NOISE, "limits": {"alpha": 1.0}}, ph.ModelError, "'alpha' is no input, state or output"),
+        ({"noise": NOISE, "limits": {"alpha": 1.0}}, ph.ModelError, "'alpha' is not an input, state or output"),
         ({"noise": NOISE, "limits": {"q": (1.0, -1.0)}}, ph.OptionError, "limits of 'q'"),
         ({"noise": NOISE, "of": ["M"]}, ph.ModelError, "of: 'M' is not a parameter that is estimated"),
         ({"noise": NOISE, "sizes": {"Mq": -1.0}}, ph.OptionError, "the size of 'Mq'"),

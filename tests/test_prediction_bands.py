@@ -51,7 +51,7 @@ def other_run(seed: int) -> ph.Experiment:
 
 
 def test_another_record_with_first_states_found_anew() -> None:
-    """The scatter of its outputs over repetitions of both experiments; first states and parameters depend."""
+    """The scatter of its outputs over repetitions of both experiments; initial states and parameters depend."""
     outputs, errors = [], []
     for seed in range(60):
         fit = ph.estimate(model(), measured(200, (0.0, 0.0), seed))

@@ -266,7 +266,7 @@ def uneven() -> Experiment:
         (lambda d: d.low_pass(5).decimate(4, 1).decimate(4, 1), "the input 'force' of experiment 'shake' has samples"),
         (lambda d: d.low_pass(5).decimate(4, 1).resample(20), "'force' of experiment 'shake' has samples of its own"),
         (lambda d: d.resample(400), "upsample_inputs"),
-        (lambda d: d.resample(0.7311), "is no simple fraction of the rate 200"),
+        (lambda d: d.resample(0.7311), "is not a simple fraction of the rate 200"),
         (lambda d: d.upsample_inputs(1), "upsample_inputs: factor is a whole number from 2, not 1"),
     ],
 )

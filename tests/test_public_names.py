@@ -44,6 +44,13 @@ def test_inputs_are_in_design() -> None:
     assert inputs.doublet is ph.design.doublet
 
 
+@pytest.mark.parametrize(("old", "new"), [("Coloured", "CorrectedErrors"), ("VanePlaces", "VanePositions")])
+def test_a_result_that_was_renamed_warns_and_works(old: str, new: str) -> None:
+    with pytest.warns(DeprecationWarning, match=rf"phugoid\.results\.{old} is now phugoid\.results\.{new}"):
+        assert getattr(ph.results, old) is getattr(ph.results, new)
+    assert old not in dir(ph.results)
+
+
 def test_a_name_that_never_was_is_an_error() -> None:
     with pytest.raises(AttributeError, match="has no attribute 'estimat'"):
         _ = ph.estimat

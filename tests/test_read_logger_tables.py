@@ -46,7 +46,7 @@ def test_dates_are_seconds_from_the_first(times: list[str], tmp_path: Path) -> N
 
 def test_a_cell_that_is_no_date_is_named(tmp_path: Path) -> None:
     text = "time,q\n2024-05-31T12:00:00,1\n2024-05-31T12:00:99,2\n2024-05-31T12:00:02,2\n"
-    with pytest.raises(ph.DataError, match="line 3, column 'time': '2024-05-31T12:00:99' is no date with its time"):
+    with pytest.raises(ph.DataError, match="line 3, column 'time': '2024-05-31T12:00:99' is not a date with its time"):
         ph.read(written(tmp_path, text))
 
 

@@ -1,4 +1,4 @@
-"""A lightly damped oscillator: what rings at its mode is no sensor noise, and no proof of anything either."""
+"""A lightly damped oscillator: what rings at its mode is not sensor noise, and no proof of anything either."""
 
 from __future__ import annotations
 

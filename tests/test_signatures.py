@@ -21,7 +21,7 @@ def headers(text: str) -> Iterator[str]:
 
 
 def tuples(header: str) -> Iterator[str]:
-    """Types in parentheses that are no arguments, and hold more than two types."""
+    """Types in parentheses that are not arguments, and hold more than two types."""
     for match in re.finditer(r"(?<![\w>])\(", header):
         depth, commas, at = 0, 0, match.start()
         while True:

@@ -61,7 +61,7 @@ def test_what_is_wrong_is_named_and_nothing_else(what: str, system: str, seed: i
 def test_nothing_is_found_where_nothing_is_wrong(what: str) -> None:
     d, _, _ = diagnosed(what, "servo", 520)
     assert not d.findings, d.summary()
-    if what != "growing":  # noise that grows with the motion is no white noise
+    if what != "growing":  # noise that grows with the motion is not a white noise
         assert d.verdict == "nothing", d.summary()
 
 
@@ -164,7 +164,7 @@ def test_the_intensity_of_gusts_is_that_of_the_filter_error_method() -> None:
     if f.cause == "rate':noise" and f.unit == "rad/s/√s":
         assert f.coefficient == pytest.approx(filtered.parameters["q_rate"].value, rel=0.05)
     assert "FilterError" in f.advice
-    # The model stays as it is: process noise is no part of it.
+    # The model stays as it is: process noise is not a part of it.
     assert not d.extend().added
 
 

@@ -183,7 +183,7 @@ def test_what_cannot_be_right_is_refused() -> None:
         (ph.OptionError, 'weighting is "cva" or "moesp"', lambda: ph.linear.subspace(good, 2, weighting="n4sid")),  # type: ignore[arg-type]
         (
             ph.OptionError,
-            "feedthrough: 'y3' is no output. There are: y1, y2.",
+            "feedthrough: 'y3' is not an output. There are: y1, y2.",
             lambda: ph.linear.subspace(good, 2, feedthrough=["y3"]),
         ),
         (ph.OptionError, "each once", lambda: ph.linear.subspace(good, 2, outputs="y1 y1")),

@@ -70,7 +70,7 @@ def test_times_of_unknown_unit_are_refused(tmp_path: Path) -> None:
         if told:
             np.testing.assert_allclose(ph.read(file, units=told).t, [0.0, 1e-3])
         else:
-            with pytest.raises(ph.DataError, match=rf"'{unit}' is no unit of time.*units=\{{'t': 's'\}}"):
+            with pytest.raises(ph.DataError, match=rf"'{unit}' is not a unit of time.*units=\{{'t': 's'\}}"):
                 ph.read(file)
     file.write_text("t [ms since 2020-01-01],x\n0,1\n1000,2\n")
     np.testing.assert_allclose(ph.read(file).t, [0.0, 1.0])

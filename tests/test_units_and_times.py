@@ -111,7 +111,7 @@ def test_other_formulations_and_noise(options: dict[str, Any]) -> None:
 
 
 FILTERS = {
-    "first states estimated": ph.FilterError("v"),
+    "initial states estimated": ph.FilterError("v"),
     "flat prior": ph.FilterError("v", initial={"x": None, "v": None}),
     "from output error": ph.FilterError("v", output_error=True),
 }

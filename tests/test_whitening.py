@@ -126,7 +126,7 @@ def test_samples_on_a_grid_are_one_strand() -> None:
     # Every third is missing: two steps alternate.
     (pairs,) = uniform_segments(np.delete(t, np.s_[2::3]))
     assert pairs.places.tolist() == [0, 1, 3, 4, 6, 7, 9, 10, 12, 13, 15, 16, 18, 19]
-    # A jump by half a step, and a spacing that is no multiple.
+    # A jump by half a step, and a spacing that is not a multiple.
     jump = uniform_segments(np.r_[t, t + 2.05])
     assert [(s.rows, s.places.size) for s in jump] == [(slice(0, 20), 20), (slice(20, 40), 20)]
     assert uniform_segments(np.r_[t, t[-1] + 0.15 * np.arange(1, 6)])[0].rows == slice(0, 20)

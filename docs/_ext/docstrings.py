@@ -120,12 +120,11 @@ def process(app: Sphinx, what: str, name: str, thing: object, options: object, l
 
 # What the package makes and users only read: how it is constructed is of no interest.
 RESULTS = {
-    "Bands", "Bootstrap", "Coloured", "Correlation", "Diagnosis", "EquationError", "Estimate", "Excursion",
+    "Bands", "Bootstrap", "CorrectedErrors", "Correlation", "Diagnosis", "EquationError", "Estimate", "Excursion",
     "Extension", "Finding", "Fit", "FitResult", "Gain", "IntegrationError", "Iteration", "Manoeuvre", "Manoeuvres",
-    "Match", "Misfit", "Mode",
-    "Modes",
-    "Multistart", "Optimum", "Outcome", "Plan", "Plans", "Profile", "Profiles", "Reconstruction", "Record",
-    "Refinement", "Scored", "SelectedTerms", "SelectionStep", "Trim", "Validation", "VanePlaces", "WeakDirection",
+    "Match", "Misfit", "Mode", "Modes", "Multistart", "Optimum", "Outcome", "Plan", "Plans", "Profile", "Profiles",
+    "Reconstruction", "Record", "Refinement", "Scored", "SelectedTerms", "SelectionStep", "Trim", "Validation",
+    "VanePositions", "WeakDirection",
 }  # fmt: skip
 _SHORT = [
     (

@@ -2,7 +2,7 @@
 Which manoeuvre?
 ================
 
-Four inputs for the short period of an aircraft, before any is flown: what would each tell of the
+Four inputs for the short period of an aircraft, before any is flown: what would each tell about the
 derivatives, and which keeps the limits?
 """
 

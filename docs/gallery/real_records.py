@@ -3,9 +3,9 @@ What it says about real records
 ===============================
 
 Simulated records show that the search finds what was hidden in them. They do not show what it does with records in
-which nobody hid anything. Here are measured records of two aircraft in flight, of one on the ground, and of three
+which nothing was hidden. Here are measured records of two aircraft in flight, of one on the ground, and of three
 laboratory rigs. Each is fitted with a model that lacks something; the diagnosis is computed when this page is built,
-and stands beside what other sources say. It is not always right, and for some records nobody knows what is right.
+and stands beside what other sources say. It is not always right, and for some records the truth is not known.
 
 A verdict is one of these:
 

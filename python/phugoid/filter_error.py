@@ -43,17 +43,17 @@ class FilterError:
     ``output_error``: True starts from the fit of an ordinary `estimate` (``start=fit`` does so with an existing one).
     False does so only where the estimation from the start values does not converge.
 
-    ``initial``: prior knowledge of first states, by state: (mean, standard deviation). A state that is not named has a
-    flat prior of density 1. First states with either prior are integrated out. None: the first state is a parameter, as
-    in the output-error method, and the likelihood with q = 0 is that of output error; but where process noise can
-    explain an output by itself, this likelihood grows without bound as its sigma goes to 0. Likelihoods with different
-    ``initial`` cannot be compared.
+    ``initial``: prior knowledge of initial states, by state: (mean, standard deviation). A state that is not named has
+    a flat prior of density 1. Initial states with either prior are integrated out. None: the initial state is a
+    parameter, as in the output-error method, and the likelihood with q = 0 is that of output error; but where process
+    noise can explain an output by itself, this likelihood grows without bound as its sigma goes to 0. Likelihoods with
+    different ``initial`` cannot be compared.
 
     ``time_limit``: in seconds, for the whole estimation; the best point so far is the result, with status "time limit".
     Results that were not computed are missing, with a warning: standard errors, innovations and deviations of states
     are NaN; where not even the start was evaluated, the log-likelihood is NaN as well, and the fit is not ``feasible``.
 
-    ``intensities``: known intensities by state, q in the unit above; 0 is no noise. Those not named are estimated.
+    ``intensities``: known intensities by state, q in the unit above; 0 is not noise. Those not named are estimated.
 
     R. V. Jategaonkar, *Flight Vehicle System Identification*, 2nd edition (AIAA, 2015), chapter 5.
 
@@ -94,7 +94,7 @@ class FilterError:
     def problem(
         self, model: Model, experiments: Sequence[Experiment], sigmas: list[tuple[bool, float, float, float]]
     ) -> _core.Filter:
-        """Return the marginal likelihood. Raises OptionError for names that are no states."""
+        """Return the marginal likelihood. Raises OptionError for names that are not states."""
         initial = self.initial or {}
         for name in (*self.states, *initial):
             if name not in model.state_names:

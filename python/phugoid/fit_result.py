@@ -43,8 +43,9 @@ class FitResult:
     initial_states  experiment -> state -> estimate of the state at the first sample.
     log_likelihood  of the measurements (Eq. ellz_defn), without the constant -N n_y/2 ln 2 pi, whatever the noise.
     integrated_log_likelihood
-                    the same of the model integrated with the estimates, independent of the mesh: of a run by
-                    `Collocation` that a limit cut, and where samples are few and the parameters tell the first states.
+                    the same of the model integrated with the estimates, independent of the mesh: of an estimation by
+                    `Collocation` that a limit ended, and where samples are few and parameters determine the initial
+                    states.
                     NaN where the model cannot be integrated; None for other fits, among them those of models with
                     delays and those ended by Ctrl-C. The message says where it differs from ``log_likelihood``.
     records         one an experiment: measured, outputs, residuals, states.

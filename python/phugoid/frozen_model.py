@@ -35,8 +35,8 @@ def biases(model: Model) -> tuple[str, ...]:
     """Return the parameters that enter outputs only, each as a term with a coefficient that is constant over a record.
 
     ``q + b_q`` has the bias b_q, and so has ``K*(alpha + b)`` with another parameter K. A parameter that enters a state
-    equation or a condition at an end of the record (CL0, say) is no bias, nor is a delay, nor one of two that multiply
-    each other.
+    equation or a condition at an end of the record (CL0, say) is not a bias, nor is a delay, nor one of two that
+    multiply each other.
     """
     return _entering_outputs_only(model, _symbols_of_motion(model, with_initial=True))
 

@@ -268,7 +268,7 @@ def from_sympy(expression: Any, names: Mapping[str, Any] | None = None) -> Any:
         name = type(e).__name__
         if getattr(e, "is_number", False) and not e.args:
             if not (e.is_real and e.is_finite):
-                raise ModelError(f"the SymPy expression {expression} holds {e}, which is no finite real number")
+                raise ModelError(f"the SymPy expression {expression} holds {e}, which is not a finite real number")
             return float(e)
         if name == "Piecewise":
             return _piecewise(e, convert)

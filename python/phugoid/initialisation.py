@@ -74,7 +74,7 @@ def start_values(
 ) -> list[tuple[str, float | list[_Array]]]:
     """Return what is given by name as the core takes it: numbers, and for states one value a sample.
 
-    Raises ModelError for names that are none of the model, its noise and the experiments, and for what is no number.
+    Raises ModelError for names that are none of the model, its noise and the experiments, and for what is not a number.
     """
     names = noise.names(model.output_names)
     check_names(model, start, experiments, names)
@@ -91,7 +91,7 @@ def start_values(
 
 
 def _parameters(model: Model, start: Mapping[str, Any], experiments: Sequence[str]) -> list[tuple[str, float]]:
-    """Return what is given for parameters; ModelError for what is no finite number."""
+    """Return what is given for parameters; ModelError for what is not a finite number."""
     names = list(model.parameter_names)
     names += [f"{n}[{e}]" for n, p in model.declared_parameters.items() if p.per_experiment for e in experiments]
     given = []

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Reconstruction", "VanePlaces", "compare_places", "reconstruct"]
+__all__ = ["Reconstruction", "VanePositions", "compare_places", "reconstruct"]
 
 
 _Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ _OFF = 3.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class VanePlaces:
+class VanePositions:
     """A fit with the positions of vanes estimated, in place of the delays of these channels that were asked for.
 
     channels   those of ``alpha`` and ``beta`` whose vane was given no position.
@@ -116,7 +116,7 @@ class VanePlaces:
         return f"<Positions of vanes of {', '.join(self.channels)}: {self.gain:+.1f} ± {self.deviation:.1f}>"
 
 
-def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePlaces | None:
+def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePositions | None:
     """Compare a fit with another of the same records that estimates places; None where they do not compare."""
     usable = ENDED_WELL
     if fit.status not in usable or places.status not in usable:
@@ -129,7 +129,7 @@ def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePlaces
     )
     delayed = tuple(c for c in channels if c in fit.model.delays.outputs)
     deviation = float(np.sqrt(gains.size) * np.std(gains, ddof=1))
-    return VanePlaces(tuple(channels), delayed, places, float(gains.sum()), deviation)
+    return VanePositions(tuple(channels), delayed, places, float(gains.sum()), deviation)
 
 
 def _log_densities(fit: Fit) -> list[_Array] | None:
@@ -159,7 +159,7 @@ def corrected(fit: Fit, record: Record, run: Experiment) -> Experiment:
     model = fit.model
     quantities = {n.removesuffix(_SUFFIX): n for n in model.quantity_names if n.endswith(_SUFFIX)}
     if "V" not in model.state_names or "q" not in quantities:
-        raise ModelError(f"'{model.name}' is no model of a flight path: make one with models.flight_path")
+        raise ModelError(f"'{model.name}' is not a flight-path model: make one with models.flight_path")
     known, own = model.quantity_expressions(), fit._own(record.name)
     compiled = CompiledExpressions(
         [known[n] for n in quantities.values()], model.parameter_names, model.input_names, model.state_names
@@ -200,7 +200,7 @@ class Reconstruction:
 
     fit: Fit
     runs: tuple[Experiment, ...]
-    places: VanePlaces | None = None
+    places: VanePositions | None = None
 
     @cached_property
     def corrected(self) -> tuple[Experiment, ...]:
@@ -318,7 +318,7 @@ def reconstruct(
         names = model if model is not None else _outputs(runs, bool(options.get("longitudinal")))
         made = flight_path(names, **options)
     if "V" not in made.state_names or "q_true" not in made.quantity_names:
-        raise ModelError(f"reconstruct: '{made.name}' is no model of a flight path: make one with models.flight_path")
+        raise ModelError(f"reconstruct: '{made.name}' is not a flight-path model: make one with models.flight_path")
     ready = [_turning(_unwrapped(run, made), made) for run in runs]
     begin = dict(start or {})
     if "V" in made.delays.outputs:
@@ -332,7 +332,7 @@ def reconstruct(
 
 def _with_vane_positions(
     fit: Fit, runs: Sequence[Experiment], start: Mapping[str, Any], noise: Any, options: Mapping[str, Any]
-) -> VanePlaces | None:
+) -> VanePositions | None:
     """Return the positions of the vanes that were not given, estimated in place of delays."""
     outputs = fit.model.output_names
     channels = [c for c in _VANES if c in outputs and options.get(f"{c}_vane") is None]

@@ -109,7 +109,7 @@ def _listed(texts: Sequence[str]) -> str:
 
 
 _FIGURES = 6  # records shown; of more, the first
-_LARGE = 60  # parameters: a matrix of more is no figure
+_LARGE = 60  # parameters: a matrix of more is not a figure
 
 
 def report(

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from .solvers import Iteration
     from .uncertainty.bands import Bands
     from .uncertainty.bootstrap import Bootstrap
-    from .uncertainty.coloured import Coloured
+    from .uncertainty.coloured import CorrectedErrors
     from .uncertainty.correlation import Correlation
     from .uncertainty.profile import Profiles
     from .validation import Validation
@@ -57,13 +57,13 @@ class Fit(FitResult):
 
     def conf_int(self, level: float = 0.95, *, robust: bool = False) -> dict[str, tuple[float, float]]:
         """Return the intervals of the free parameters at a confidence level, from their standard errors; with
-        ``robust`` from those of `robust`. `profile` gives intervals where the likelihood is no parabola.
+        ``robust`` from those of `robust`. `profile` gives intervals where the likelihood is not a parabola.
 
         Raises OptionError for a level that is not between 0 and 1.
         """
         return (self.robust().parameters if robust else self.parameters).conf_int(level)
 
-    def robust(self) -> Coloured:
+    def robust(self) -> CorrectedErrors:
         """Return standard errors corrected for autocorrelated residuals: of parameters and initial states, by name; the
         covariance; and the ratios to the plain standard errors.
 
@@ -79,7 +79,7 @@ class Fit(FitResult):
         return coloured(self)
 
     @property
-    def coloured(self) -> Coloured:
+    def coloured(self) -> CorrectedErrors:
         """The result of `robust`. This property is removed in the next release."""
         from .uncertainty.coloured import coloured
 
@@ -142,7 +142,7 @@ class Fit(FitResult):
     ) -> Profiles:
         """Return intervals by profile likelihood (Venzon & Moolgavkar 1988): each parameter is moved, all others
         re-estimated, until twice the log-likelihood has dropped by the quantile of chi-square. They follow a likelihood
-        that is no parabola, where standard errors do not.
+        that is not a parabola, where standard errors do not.
 
         ``names``: of parameters of the model (``"b[run1]"`` of one experiment's own); None: all that are free.
         ``coloured``: the drop is enlarged by the factors of `robust`, as for a composite likelihood (Chandler & Bate
@@ -309,7 +309,7 @@ class Fit(FitResult):
         stay. Names of parameters of any kind: these; () for none. A parameter with ``per_experiment`` has one value an
         experiment here too, any other one for all.
         ``values``: name -> value of parameters to fix elsewhere than at the fit. A parameter with ``per_experiment``
-        that is no bias needs one, or must be named in ``biases``.
+        that is not a bias needs one, or must be named in ``biases``.
         ``tolerances``: output -> greatest deviation in its unit, or a `Tolerance` where it grows with what is measured,
         in the style of flight-simulator qualification (14 CFR Part 60): the part of the samples within is reported, and
         the bands are drawn.

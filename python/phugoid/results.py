@@ -1,5 +1,8 @@
 """Result classes, for annotations and `isinstance`; they are returned by functions, not constructed by users."""
 
+import warnings
+from typing import TYPE_CHECKING, Any
+
 from .design.manoeuvre_list import Manoeuvre, Manoeuvres
 from .design.plan import Excursion, Plan, Plans
 from .diagnosis import Diagnosis, Extension, Improvement
@@ -17,7 +20,7 @@ from .many_starts import Multistart
 from .many_starts.optima import Optimum
 from .parameters import Estimate
 from .petab.problem import PetabProblem
-from .reconstruction import Reconstruction, VanePlaces
+from .reconstruction import Reconstruction, VanePositions
 from .records import Record
 from .regression.equation_error import EquationError
 from .regression.term_selection import SelectedTerms, SelectionStep
@@ -26,7 +29,7 @@ from .simulation import IntegrationError
 from .solvers import Iteration
 from .uncertainty.bands import Bands
 from .uncertainty.bootstrap import Bootstrap
-from .uncertainty.coloured import Coloured
+from .uncertainty.coloured import CorrectedErrors
 from .uncertainty.correlation import Correlation, WeakDirection
 from .uncertainty.profile import Profile, Profiles
 from .validation import Validation
@@ -36,7 +39,7 @@ __all__ = [
     "Bootstrap",
     "Candidate",
     "Candidates",
-    "Coloured",
+    "CorrectedErrors",
     "Correlation",
     "Diagnosis",
     "EquationError",
@@ -75,6 +78,19 @@ __all__ = [
     "Smoothing",
     "Trim",
     "Validation",
-    "VanePlaces",
+    "VanePositions",
     "WeakDirection",
 ]
+
+_RENAMED = {"Coloured": "CorrectedErrors", "VanePlaces": "VanePositions"}
+
+if not TYPE_CHECKING:  # for type checkers, a name that is not imported above is an error
+
+    def __getattr__(name: str) -> Any:
+        """Return a class by its former name, with a DeprecationWarning that gives the present one."""
+        if name not in _RENAMED:
+            raise AttributeError(f"module 'phugoid.results' has no attribute '{name}'")
+        warnings.warn(
+            f"phugoid.results.{name} is now phugoid.results.{_RENAMED[name]}", DeprecationWarning, stacklevel=2
+        )
+        return globals()[_RENAMED[name]]

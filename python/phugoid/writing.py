@@ -131,4 +131,4 @@ def read_text(path: str | PathLike[str]) -> str:
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or 'it is no text'})") from error
+        raise DataError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or 'it is not text'})") from error

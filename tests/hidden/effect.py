@@ -81,7 +81,7 @@ def term(
     for text in what.split("*"):
         match = FACTOR.fullmatch(text)
         if match is None:
-            raise ValueError(f"'{text}' in '{what}' is no factor of a term")
+            raise ValueError(f"'{text}' in '{what}' is not a factor of a term")
         name = match["sign"] or match["abs"] or match["quadratic"] or match["base"]
         i = list(names).index(name)
         factors.append((i, trim[i], match, steep.get(name, 0.0)))

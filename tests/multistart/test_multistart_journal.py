@@ -153,7 +153,7 @@ def test_threads_and_lines_of_code_have_no_part_in_a_journal(tmp_path: Path) -> 
 def test_a_file_that_is_no_journal_stays_as_it_is(text: str, tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text(text)
-    with pytest.raises(DataError, match="is no journal of a multistart"):
+    with pytest.raises(DataError, match="is not a journal of a multistart"):
         run(1, journal=path)
     assert path.read_text() == text
 

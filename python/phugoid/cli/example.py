@@ -107,7 +107,7 @@ class Example:
 
     ``inputs``: name -> (trim, size of a step of the manoeuvres, in its unit). ``sigma``: output -> standard deviation
     of white Gaussian noise. ``seconds`` and ``rate`` (Hz) of a record. ``look``: what to look for in it. ``signals``:
-    the inputs over the times (N,) of the first (0) or the second (1) record, where they are no steps about a trim.
+    the inputs over the times (N,) of the first (0) or the second (1) record, where these are not steps about a trim.
     """
 
     name: str

@@ -44,7 +44,7 @@ def load_source(source: str) -> Model | Fit:
     except FileNotFoundError:
         raise DataError(f"{path}: there is no such file in {path.parent.resolve()}") from None
     except UnicodeDecodeError:
-        raise DataError(f"{path}: is neither Python nor a saved model (it is no text)") from None
+        raise DataError(f"{path}: is neither Python nor a saved model (it is not text)") from None
     if path.suffix == ".json":
         return _saved(path, text)
     if path.suffix != ".py":
@@ -65,7 +65,7 @@ def _saved(path: Path, text: str) -> Model | Fit:
     try:
         document = json.loads(text)
     except json.JSONDecodeError as error:
-        raise DataError(f"{path}: is no complete JSON (line {error.lineno}: {error.msg})") from None
+        raise DataError(f"{path}: is not complete JSON (line {error.lineno}: {error.msg})") from None
     if isinstance(document, dict) and document.get("format") == FORMAT:
         return load_fit(path)
     if isinstance(document, dict) and document.get("format") == DIAGNOSIS:
@@ -73,7 +73,7 @@ def _saved(path: Path, text: str) -> Model | Fit:
     try:
         return Model.from_json(text)
     except (ModelError, AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ModelError(f"{path}: is no model saved by phugoid ({error})") from None
+        raise ModelError(f"{path}: is not a model saved by phugoid ({error})") from None
 
 
 def _run(path: Path, text: str) -> dict[str, Any]:
@@ -147,5 +147,5 @@ def _made(path: Path, value: Any) -> Model | Fit:
             raise ModelError(f"{path}: {value.__name__}() returns a {type(made).__name__}, not a phugoid.Model")
         return made
     if not isinstance(value, Model):
-        raise ModelError(f"{path}: a {type(value).__name__} is no phugoid.Model, nor a function that makes one")
+        raise ModelError(f"{path}: a {type(value).__name__} is not a phugoid.Model, nor a function that makes one")
     return value

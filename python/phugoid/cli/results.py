@@ -137,7 +137,7 @@ def check_saved(path: Path | None, what: str) -> None:
 def check_targets(
     figures: Sequence[Path | None] = (), others: Sequence[Path | None] = (), report: Path | None = None
 ) -> None:
-    """Raise OptionError, before any work is done, for a file that could not be written, or a report that is no page."""
+    """Raise OptionError, before any work is done, for a file that could not be written, or a report not HTML."""
     for path in (p for p in (*figures, *others, report) if p is not None):
         if not path.resolve().parent.is_dir():
             raise OptionError(f"{path}: cannot be written, since there is no folder {path.resolve().parent}")

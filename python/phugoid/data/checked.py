@@ -144,7 +144,7 @@ def real(values: ArrayLike, where: str, t: FloatArray | None = None) -> FloatArr
     try:
         raw = np.asarray(values)
     except ValueError as error:
-        raise DataError(f"{where}: is no array of numbers ({error})") from None
+        raise DataError(f"{where}: is not an array of numbers ({error})") from None
     if raw.dtype.kind == "O":
         numbers = [_scalar(value, i, where, t) for i, value in enumerate(raw.flat)]
         raw = np.array(numbers, dtype=np.float64).reshape(raw.shape)

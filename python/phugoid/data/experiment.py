@@ -79,7 +79,7 @@ class Experiment(Preprocessing):
         self._signals = {}
         self._mesh_times: FloatArray | None = None
         self._history: tuple[str, ...] = ()
-        self._left_out: Mapping[str, str] = {}  # of the file: name -> why it is no channel
+        self._left_out: Mapping[str, str] = {}  # of the file: name -> why it is not a channel
         self._unmeasured: frozenset[str] = frozenset()  # outputs that only other experiments measure
         for channel, values in self._inputs.items():
             checked.check_input(checked.where(self._name, "input", channel), values, self._t)
@@ -247,14 +247,14 @@ class Experiment(Preprocessing):
         """Return the parts of the record between gaps in its sampling, called ``name[1]``, ``name[2]``, ...
 
         In a gap the inputs are unknown, and the model would be driven by what interpolation makes of them. The
-        parts are estimated together, each with first states of its own.
+        parts are estimated together, each with initial states of its own.
 
         gaps  True: an interval is a gap where it is longer than ten times those beside it (the twenty nearest, of which
               two may be as long). Sampling that is irregular by nature, such as increasing intervals, bursts, or
               outputs of several rates, has no gaps. A number: an interval that is longer than so many s.
 
         Inputs with samples of their own count too, unless they are held between these: samples of the record within a
-        gap of such an input belong to no part. Missing outputs (NaN) are no gaps. Without gaps the record itself is
+        gap of such an input belong to no part. Missing outputs (NaN) are not gaps. Without gaps the record itself is
         returned, in a list. A part with fewer than two samples is left out, with a UserWarning.
 
         Raises OptionError for a length that is not positive.

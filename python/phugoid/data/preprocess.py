@@ -210,7 +210,7 @@ class Preprocessing:
                     aliased.append(f"{100 * share:.2g} % of the power of {channel} above {above}")
         for channel, values in {**self._columns_of()["channel"], **self._columns_of()["input"]}.items():
             if self._is_held(channel):
-                if np.isfinite(values).all():  # or it is no input
+                if np.isfinite(values).all():  # or it is not an input
                     signals.setdefault(channel, (t, values, 0.0, 0))
             elif fine is not None:
                 signals[channel] = t[::fine], values[::fine], 0.0, 0
@@ -257,7 +257,7 @@ class Preprocessing:
         ratio = Fraction(rate / old).limit_denominator(1000)
         if abs(float(ratio) * old / rate - 1.0) > 1e-6:
             raise OptionError(
-                f"resample: {rate:g} is no simple fraction of the rate {old:g} (a denominator up to 1000)"
+                f"resample: {rate:g} is not a simple fraction of the rate {old:g} (a denominator up to 1000)"
             )
         up, down = ratio.numerator, ratio.denominator
         # The last sample at or before the end of the record.

@@ -126,7 +126,7 @@ class _Columns:
                 measure = unit.partition(" since ")[0]
                 if si(measure) != "s":
                     raise DataError(
-                        f"{where}: '{unit}' is no unit of time that is known; give it, units={{'{clock}': 's'}}"
+                        f"{where}: '{unit}' is not a unit of time that is known; give it, units={{'{clock}': 's'}}"
                     )
                 values = converted(values, measure, self._time_unit or "s", where)
                 self._labels[clock] = self._time_unit or "s"
@@ -335,7 +335,7 @@ def read(
     passed over, and empty cells, ``NaN`` and ``NA`` are missing samples. Times may be dates with times of ISO 8601,
     such as ``2024-05-31T12:00:00.25Z``: time runs from the first.
 
-    Raises DataError with the line and the column for a cell that is no number, with the line for a row that
+    Raises DataError with the line and the column for a cell that is not a number, with the line for a row that
     has too many or too few cells, with the names there are for an unknown column, with the units for those
     that are unknown or of different kinds, and with the path for a damaged file; MissingDependency, with the command
     that installs it, where a package is needed to read a file.

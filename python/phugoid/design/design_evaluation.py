@@ -174,7 +174,7 @@ def plan(
 ) -> Plan:
     """Return the standard errors to expect from a planned manoeuvre.
 
-    They are the Cramér-Rao bounds at the assumed values: of the information of the samples, with the first states of
+    They are the Cramér-Rao bounds at the assumed values: of the information of the samples, with the initial states of
     each record free. For a right model, `estimate` gives the same after the flight.
 
     source     a model, with its ``values``; or a fit, whose values and noise are taken where not given.

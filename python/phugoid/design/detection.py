@@ -39,7 +39,7 @@ _RESTING, _RESTLESS = 20.0, 0.2
 # before it or after it: the standard deviation over so many s, less white noise. The pilot of the HFB-320 moves the
 # elevator by a fortieth of its manoeuvres, an autopilot in turbulence by a tenth of its largest departures.
 _LARGER, _AROUND, _WINDOW = 20.0, 30.0, 4.0
-# Spans that are no manoeuvres, and no further apart than so many s, are one span of the kind "continuous".
+# Spans that are not manoeuvres, and no further apart than so many s, are one span of the kind "continuous".
 _APART = 30.0
 # Lengths of the steps of a 3-2-1-1 in sevenths of their sum, and by how much they may be off; the last two, which are
 # as long as each other, differ by no more than this factor (those of a 4-3-2-1 by two).

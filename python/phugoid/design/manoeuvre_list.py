@@ -105,7 +105,7 @@ class Manoeuvres(Sequence[Manoeuvre]):
         """Return the records of the manoeuvres, each from ``before`` before its start to ``after`` after its end.
 
         Spans that overlap are one record, so that no sample is in two. They are called ``name[1]``, ``name[2]``, ...
-        Raises OptionError for lengths that are no numbers from 0, DataError where there are no manoeuvres.
+        Raises OptionError for lengths that are not numbers from 0, DataError where there are no manoeuvres.
         """
         for what, value in (("before", before), ("after", after)):
             if not (isinstance(value, (int, float)) and 0 <= value < math.inf):

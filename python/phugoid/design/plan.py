@@ -182,7 +182,7 @@ def excursions_of(record: Record, limits: Limits) -> dict[str, Excursion]:
     channels = {**record.inputs, **record.states, **record.outputs}
     for n in limits:
         if n not in channels:
-            raise ModelError(f"plan: limits: '{n}' is no input, state or output.{listing(str(n), list(channels))}")
+            raise ModelError(f"plan: limits: '{n}' is not an input, state or output.{listing(str(n), list(channels))}")
     found = {}
     for n, v in channels.items():
         bound = limits.get(n)
@@ -203,7 +203,7 @@ def excursions_of(record: Record, limits: Limits) -> dict[str, Excursion]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """The evaluation of a planned manoeuvre. All errors are Cramér-Rao bounds for white noise, first states free.
+    """The evaluation of a planned manoeuvre. All errors are Cramér-Rao bounds for white noise, initial states free.
 
     name         of the manoeuvre.
     parameters   by name: the values that were assumed, and the standard error that an estimation would have. Infinite

@@ -26,7 +26,7 @@ _EXACT = 1e-9
 
 
 def check_fit(fit: Any) -> None:
-    """Raise OptionError for what is no fit by output error, DataError for a fit without residuals."""
+    """Raise OptionError for what is not a fit by output error, DataError for a fit without residuals."""
     if not isinstance(fit, FitResult):
         raise OptionError(f"diagnose: the first argument is a fit, as estimate gives it, not {type(fit).__name__}")
     if isinstance(fit.transcription, FilterError):
@@ -80,7 +80,7 @@ def validation_given(fit: FitResult, given: Any) -> Sequence[Experiment]:
 
 def freed(fit: FitResult, others: Sequence[Experiment], given: Any) -> tuple[str, ...] | None:
     """Return the parameters to re-estimate in validation records, None where not given; raise OptionError or ModelError
-    for what is no list of parameters."""
+    for what is not a list of parameters."""
     if given is None:
         return None
     if not others:
@@ -110,7 +110,7 @@ def candidates_given(fit: FitResult, given: Any, base: Refit) -> list[Candidate]
     for c in listed:
         if not isinstance(c, Candidate):
             raise OptionError(
-                f"diagnose: candidates holds {c!r}, which is no Candidate: make them by ph.candidates(model)"
+                f"diagnose: candidates holds {c!r}, which is not a Candidate: make them by ph.candidates(model)"
             )
         if c.place not in places:
             raise OptionError(

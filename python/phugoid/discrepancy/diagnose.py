@@ -92,7 +92,7 @@ def diagnose(
 
     ``candidates``: those of `candidates` for the model unless given; or terms of your own that are added to these, as
     in ``{"Cm": [alpha*q**2]}``.
-    ``validation``: other records of the same vehicle; with only first states and biases free they measure the gain.
+    ``validation``: other records of the same vehicle; with only initial states and biases free they measure the gain.
     Without any, blocks of the records are left out in turn.
     ``biases``: names of the parameters that are estimated again in the validation records, as for `Fit.validate`: trim,
     say. None: biases of sensors, and initial values that each experiment has its own of. Parameters of the dynamics

@@ -134,7 +134,7 @@ def improve(
     The arguments are those of `diagnose`; ``steps`` is the most diagnoses, ``time_limit`` in seconds is that of all.
     Inputs that are found to be held between their samples, or to be recorded with noise, are held or filtered from
     then on, in the validation records too.
-    Disturbances are no terms of a model and are not put in. Ctrl-C and the time limit end it with what was found.
+    Disturbances are not terms of a model and are not put in. Ctrl-C and the time limit end it with what was found.
 
     Raises as `diagnose` does, for the first model; OptionError for a number of steps below 1.
     """

@@ -73,7 +73,7 @@ def estimate(
     finite at the start. Not to converge is a status of the fit, not an error.
     """
     if isinstance(model, Model):
-        model = model.copy()  # what is declared on the user's own afterwards is no part of this fit
+        model = model.copy()  # what is declared on the user's own afterwards is not a part of this fit
     return _estimate(model, data, transcription, noise, start, solver, progress, every_way=True)
 
 

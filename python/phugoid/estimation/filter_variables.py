@@ -264,7 +264,7 @@ def make_filter_fit(
     """Return the fit at a maximum of the marginal likelihood.
 
     Standard errors are from the curvature there (``hessian``, of minus the likelihood in the variables of
-    `Objective`); those of first states add to the smoother's variance what the parameters' uncertainty brings.
+    `Objective`); those of initial states add to the smoother's variance what the parameters' uncertainty brings.
     """
     z, names = end.x, objective.problem.parameters
     lower, upper = objective.bounds
@@ -403,7 +403,7 @@ def _records(
     covariance: _Array,
     feasible: bool,
 ) -> tuple[list[Record], dict[str, Estimates]]:
-    """Return the smoothed time histories, and the first states with their standard errors."""
+    """Return the smoothed time histories, and the initial states with their standard errors."""
     n, p = len(model.state_names), len(model.parameter_names)
     of_model = np.nan_to_num(covariance[:p, :p])
     records, initial = [], {}

@@ -96,7 +96,7 @@ class Problem:
             fit = self.fit(start)
         except (*_FAULTS, KeyboardInterrupt, SystemExit):
             raise
-        except BaseException as error:  # a panic in Rust is no Exception
+        except BaseException as error:  # a panic in Rust is not an Exception
             message = f"{type(error).__name__}: {error}"
             return Outcome(index, start, "error", message, time=time.perf_counter() - begin)
         return Outcome(

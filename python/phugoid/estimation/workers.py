@@ -49,7 +49,7 @@ _BREAKING, _STARTING = 10.0, 60.0
 # Deaths after which a start runs alone, and is given up if it dies again.
 _ALONE = 2
 
-# Status of a run that the limit of the whole cut short: it is no outcome.
+# Status of a run that the limit of the whole cut short: it is not an outcome.
 _LATE = "out of time"
 _KEPT = 4
 _PROBLEMS: dict[str, Problem] = {}
@@ -93,7 +93,7 @@ class _StartTask:
 class Crew:
     """Runs starts of a problem on an executor (None: in this process).
 
-    Raises OptionError for what is no executor, or one that takes no work.
+    Raises OptionError for what is not an executor, or one that takes no work.
     """
 
     def __init__(self, executor: Any, problem: Problem) -> None:

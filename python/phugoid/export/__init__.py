@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 
-# Words that are no names in C or C++.
+# Words that are not names in C or C++.
 _RESERVED = {
     "auto", "bool", "break", "case", "catch", "char", "class", "const", "continue", "default", "delete", "do",
     "double", "else", "enum", "extern", "float", "for", "friend", "goto", "if", "inline", "int", "long", "main",
@@ -105,7 +105,7 @@ def identifier(text: str) -> str:
 def checked_name(name: str) -> str:
     """Return a name that is valid in C; raise OptionError for any other."""
     if not (isinstance(name, str) and re.fullmatch(r"[A-Za-z]\w*", name, flags=re.ASCII)) or name in _RESERVED:
-        raise OptionError(f"export: {name!r} is no name in C: letters, digits and underscores, a letter first")
+        raise OptionError(f"export: {name!r} is not a name in C: letters, digits and underscores, a letter first")
     return name
 
 

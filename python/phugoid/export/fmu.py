@@ -46,8 +46,8 @@ def export_fmu(
     path.
 
     Variables are inputs, parameters (tunable) and outputs by their names, states as ``state.<name>`` and their
-    derivatives as ``der(state.<name>)``, with units; an output that is called like an input or a parameter is
-    ``output.<name>``. Start values are those of the fit: its estimates, the first states and inputs of the experiment.
+    derivatives as ``der(state.<name>)``, with units; an output with the name of an input or a parameter is
+    ``output.<name>``. Start values are those of the fit: its estimates, initial states, and inputs of the experiment.
     An input that is held between samples in the data of the fit is discrete, and the others are continuous. Directional
     derivatives are exact; the state can be saved and restored.
 

@@ -52,7 +52,7 @@ def fit_linear(
     outputs.
 
     Output error as in `estimate`, with white noise and a variance for each output, but for linear systems, where part
-    of the problem is linear: given A and C, the outputs are linear in B, D, the first states and offsets, which are
+    of the problem is linear: given A and C, the outputs are linear in B, D, the initial states and offsets, which are
     found by least squares for each A and C that is tried (variable projection: Golub and Pereyra, SIAM J. Numer. Anal.
     10(2), 1973; the approximation of Kaufman, BIT 15, 1975). The other unknowns, two numbers for each mode and C, are
     found by Levenberg-Marquardt steps with orthogonal factorisations, so that modes which a record hardly determines
@@ -145,7 +145,7 @@ class _Known:
 @dataclass(frozen=True, eq=False)
 class _Linearised:
     """About a point: derivatives J (k, k) of the residuals by the numbers of the blocks, and residuals q (k,), over the
-    noise, both without what B, D, first states and offsets can do, and turned to as many rows as there are numbers.
+    noise, both without what B, D, initial states and offsets can do, and turned to as many rows as there are numbers.
 
     U, s, Vt  of J times the sizes of the numbers (k,).
     apart     where the linearised outputs fit best, their squared distance from those of the known optimum, in

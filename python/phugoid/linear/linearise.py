@@ -286,7 +286,7 @@ def labels_of(caller: str, fit: FitResult, experiment: str | None) -> dict[str, 
     """Return for each parameter of the model its name among the estimates."""
     there = [record.name for record in fit.records]
     if experiment is not None and experiment not in there:
-        raise ModelError(f"{caller}: '{experiment}' is no experiment of the fit.{listing(experiment, there)}")
+        raise ModelError(f"{caller}: '{experiment}' is not an experiment of the fit.{listing(experiment, there)}")
     found = {}
     for name in fit.model.parameter_names:
         label = f"{name}[{experiment or there[0]}]"

@@ -128,7 +128,7 @@ class ModalBlocks:
 
     def slopes(self, answers: Answers, found: ModalRegression) -> Iterator[tuple[list[int], _Array]]:
         """Yield for each output the derivatives (k, N) of its path in an experiment by the numbers of `moved`, with B
-        and first states fixed, and the indices of these numbers."""
+        and initial states fixed, and the indices of these numbers."""
         values, C, own = self.modal()
         run = answers.driven.run
         xi, eta = answers.slopes(found.B, found.motion[run.name])
@@ -175,7 +175,7 @@ def best_places(
     squares.
 
     What the present modes can explain with another B, in each experiment and output by itself, is projected out of
-    the outputs and of the response of each new mode; first states of the new mode are left out. Of several outputs C
+    the outputs and of the response of each new mode; initial states of the new mode are left out. Of several outputs C
     of the new mode is the direction of the largest response.
     """
     places = _grid(records, blocks)

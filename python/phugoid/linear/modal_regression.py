@@ -86,7 +86,7 @@ def path(answers: Answers, C: _Complex, found: ModalRegression) -> _Array:
 
 @dataclass(frozen=True)
 class Layout:
-    """Indices of the unknowns: of each experiment first states and offsets; then B; D of the outputs that have it."""
+    """Indices of the unknowns: of each experiment initial states and offsets; then B; D of the outputs that have it."""
 
     paired: NDArray[np.bool_]
     m: int
@@ -100,7 +100,7 @@ class Layout:
         return int(np.where(self.paired, 2, 1).sum())
 
     def own(self, e: int) -> slice:
-        """Return the indices of an experiment: first states, then offsets of all outputs."""
+        """Return the indices of an experiment: initial states, then offsets of all outputs."""
         size = self.width + len(self.feedthrough) * int(self.offset)
         return slice(e * size, (e + 1) * size)
 
@@ -121,7 +121,7 @@ class Layout:
         return int(self.direct(len(self.feedthrough) - 1).stop)
 
     def of_mode(self, i: int) -> list[int]:
-        """Return the indices of a mode: its first states in all experiments, and its row of B."""
+        """Return the indices of a mode: its initial states in all experiments, and its row of B."""
         first = int(np.where(self.paired[:i], 2, 1).sum())
         parts = range(first, first + (2 if self.paired[i] else 1))
         starts = [self.own(e).start for e in range(self.runs)]

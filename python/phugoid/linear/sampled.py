@@ -392,5 +392,5 @@ def chosen_outputs(caller: str, feedthrough: bool | Collection[str], outputs: Se
     chosen = [feedthrough] if isinstance(feedthrough, str) else list(feedthrough)
     for name in chosen:
         if name not in outputs:
-            raise OptionError(f"{caller}: feedthrough: '{name}' is no output.{listing(str(name), outputs)}")
+            raise OptionError(f"{caller}: feedthrough: '{name}' is not an output.{listing(str(name), outputs)}")
     return [name in chosen for name in outputs]

@@ -374,7 +374,7 @@ def only(caller: str, kind: str, name: str | None, names: Sequence[str]) -> str:
             )
         return names[0]
     if name not in names:
-        raise ModelError(f"{caller}: '{name}' is no {kind}.{listing(str(name), names)}")
+        raise ModelError(f"{caller}: '{name}' is not an {kind}.{listing(str(name), names)}")
     return name
 
 
@@ -391,7 +391,7 @@ def _matrix(name: str, value: Any) -> _Array:
     try:
         matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ModelError(f"state space: {name} is no matrix of real numbers") from None
+        raise ModelError(f"state space: {name} is not a matrix of real numbers") from None
     if matrix.ndim != 2:
         raise ModelError(f"state space: {name} has shape {matrix.shape}; give a matrix")
     if not np.isfinite(matrix).all():

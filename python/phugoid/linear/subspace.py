@@ -156,7 +156,7 @@ def _tried(
         if not prune or values.size == 1:
             break
         worst = int(np.argmin(found.gains))
-        # Parameters of a mode: eigenvalue, first states, row of B, and a column of C.
+        # Parameters of a mode: eigenvalue, initial states, row of B, and a column of C.
         numbers = (2 if values[worst].imag else 1) * (len(records.runs) + len(records.inputs) + p)
         if found.gains[worst] > numbers * np.log(sum(records.lengths)):
             break

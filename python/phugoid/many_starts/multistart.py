@@ -84,7 +84,7 @@ class Journal:
     outcomes  number of the start -> what came of it, as read.
     warnings  why starts finished since are not in the file, in words; empty where all are.
 
-    Raises DataError where the file cannot be used: it is no journal, it is that of another problem (the message says
+    Raises DataError where the file cannot be used: it is not a journal, it is that of another problem (the message says
     what differs), a line within is damaged, or it cannot be read or written.
     """
 
@@ -141,7 +141,7 @@ class Journal:
         """Return the lines that are complete, and their number of bytes."""
         sound = text.rfind(b"\n") + 1
         if not sound and not first.startswith(text):
-            raise self._foreign("its first line is no header")
+            raise self._foreign("its first line is not a header")
         return text[:sound].splitlines(), sound
 
     def _read(self, lines: list[bytes], header: Mapping[str, Any], starts: Starts) -> dict[int, Outcome]:
@@ -149,7 +149,7 @@ class Journal:
             return {}
         there = self._parsed(lines[0])
         if not isinstance(there, dict) or there.get("format") != FORMAT:
-            raise self._foreign("its first line is no header")
+            raise self._foreign("its first line is not a header")
         if there.get("version") != VERSION:
             raise self._foreign(f"it has version {there.get('version')!r} of the format instead of {VERSION}")
         parts = [key for key in header if key not in ("format", "version", "phugoid")]
@@ -191,7 +191,7 @@ class Journal:
             return None
 
     def _foreign(self, why: str) -> DataError:
-        return DataError(f"{self.path}: is no journal of a multistart ({why}); name another file")
+        return DataError(f"{self.path}: is not a journal of a multistart ({why}); name another file")
 
 
 def _outcome(entry: Mapping[str, Any]) -> Outcome:
@@ -206,7 +206,7 @@ def _outcome(entry: Mapping[str, Any]) -> Outcome:
     def whole(name: str) -> int:
         value = entry.get(name, 0)
         if type(value) is not int or value < 0:
-            raise ValueError(f"{name} is no whole number")
+            raise ValueError(f"{name} is not a whole number")
         return value
 
     texts = [entry["status"], entry.get("message", "")]

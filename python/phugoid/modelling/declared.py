@@ -155,7 +155,7 @@ class Declared(tuple[Expr, ...]):
     __slots__ = ()
 
     def no_expression(self, *_: Any) -> NoReturn:
-        """Raise ModelError, since a tuple is no expression."""
+        """Raise ModelError, since a tuple is not an expression."""
         names = ", ".join(map(str, self)) + ("," if len(self) == 1 else "")
         raise ModelError(
             f"({names}) is a tuple, as declarations return it even for one symbol: write `{names} = ...`, with a comma"
@@ -169,7 +169,7 @@ class Declared(tuple[Expr, ...]):
 
 
 def declare_each(kind: str, expressions: Mapping[str, Any], act: Callable[[str, Any], Any]) -> list[Any]:
-    """Declare each of some equations by ``act``; raise ModelError, with the user's line, where one is no expression."""
+    """Declare each of some equations by ``act``; raise ModelError with the line for what is not an expression."""
     if not expressions:
         raise ModelError(f"{kind}: no equations were given")
     results = []
@@ -297,7 +297,7 @@ def terms_added(core: _core.Model, terms: Mapping[str, Any]) -> dict[Key, Expr]:
     old, found = named_equations(core), {}
     for name, term in terms.items():
         if name not in old:
-            raise ModelError(f"with_terms: '{name}' is no equation.{listing(str(name), list(old))}")
+            raise ModelError(f"with_terms: '{name}' is not an equation.{listing(str(name), list(old))}")
         key, e = old[name]
         try:
             found[key] = Expr(e + Expr(term))

@@ -67,7 +67,7 @@ class StudentT(Noise):
         return f"Student's t, {dof}; sigma is its scale"
 
     def saved(self, outputs: Sequence[str]) -> str:
-        """Return the noise as the core reads it. Raises ModelError for names that are no outputs."""
+        """Return the noise as the core reads it. Raises ModelError for names that are not outputs."""
         for name in self.dof if isinstance(self.dof, Mapping) else ():
             if name not in outputs:
                 raise ModelError(f"StudentT: dof of '{name}', which is not an output.{did_you_mean(name, outputs)}")

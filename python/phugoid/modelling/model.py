@@ -390,8 +390,8 @@ class Model:
         """Return a model with other parameters; this one stays as it is.
 
         A number moves the start, or the value of a fixed parameter; a `Parameter` takes the place of the declaration.
-        Names may be given in a mapping too. Raises ModelError for a name that is no parameter, and for a start outside
-        of the bounds.
+        Names may be given in a mapping too. Raises ModelError for a name that is not a parameter, and for a start
+        outside of the bounds.
 
         >>> import phugoid as ph
         >>> m = ph.Model("lag")
@@ -412,7 +412,7 @@ class Model:
                     (``"q'"``) or an output (``"y:q"``).
         parameters  new ones that the terms hold, declared as by `Model.parameters`.
 
-        Raises ModelError for an unknown equation, an existing parameter, and a term that is no expression.
+        Raises ModelError for an unknown equation, an existing parameter, and a term that is not an expression.
 
         >>> import phugoid as ph
         >>> m = ph.Model("pendulum")

@@ -23,7 +23,7 @@ KINDS = "a Gaussian, StudentT, Huber, Laplace, Density or PerOutput"
 
 
 def not_noise(given: object) -> str:
-    """Return the end of a message on an argument that is no noise model: what one is, and what numbers may have meant.
+    """Return the end of a message on an argument that is not noise model: what one is, and what numbers may have meant.
 
     >>> not_noise({"az": 0.1}).partition("; ")[2]
     "known standard deviations are given as ph.Gaussian({'az': 0.1})"
@@ -119,7 +119,7 @@ class Noise:
         return self
 
     def saved(self, outputs: Sequence[str]) -> str:
-        """Return the noise as the core reads it. Raises ModelError for names that are no outputs."""
+        """Return the noise as the core reads it. Raises ModelError for names that are not outputs."""
         return json.dumps(self.to_dict())
 
     def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:

@@ -199,7 +199,7 @@ def flight_path(
     allowed = _LONGITUDINAL if longitudinal else tuple(_UNITS)
     for n in measured:
         if n not in allowed:
-            raise OptionError(f"flight_path: '{n}' is no output of it.{listing(n, allowed)}")
+            raise OptionError(f"flight_path: '{n}' is not an output of it.{listing(n, allowed)}")
     if "V" not in measured:
         raise OptionError("flight_path: V, the true airspeed, must be among the outputs: all depends on it")
     if longitudinal and (flank or beta_vane is not None or wind):

@@ -87,7 +87,7 @@ def add_feedthrough(
         chosen = [feedthrough] if isinstance(feedthrough, str) else list(feedthrough)
     for name in chosen:
         if name not in outputs:
-            raise OptionError(f"{caller}: feedthrough: '{name}' is no output.{listing(str(name), outputs)}")
+            raise OptionError(f"{caller}: feedthrough: '{name}' is not an output.{listing(str(name), outputs)}")
     for j, y in enumerate(outputs):
         for i, u in enumerate(force if y in chosen else ()):
             label = ["d"] + ([y] if always or len(outputs) > 1 else []) + ([str(u)] if always or len(force) > 1 else [])

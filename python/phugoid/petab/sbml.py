@@ -346,7 +346,7 @@ def _in_order(name: str, jumps: list[_Jump]) -> list[_Jump]:
     if len(jumps) == 1 or all(j.factor.constant == 1.0 for j in jumps):
         return jumps
     if any(set(j.switch.difference.symbols) != {TIME} for j in jumps):
-        raise ModelError(f"SBML: not supported: several events that set {name}, at times that are no numbers")
+        raise ModelError(f"SBML: not supported: several events that set {name}, at times that are not numbers")
 
     def time(jump: _Jump) -> float:
         at = [float(jump.switch.difference.evaluate({TIME: t})) for t in (0.0, 1.0)]
@@ -373,8 +373,8 @@ _TIME_UNITS = {1.0: "s", 1e-3: "ms", 60.0: "min", 3600.0: "h", 86400.0: "day"}
 
 
 def _time_unit(model: Any) -> str:
-    """Return the unit of time of an SBML model: s where it gives none, and the name of its unit where that is no usual
-    one."""
+    """Return the unit of time of an SBML model: s where it gives none, and the name of its unit where that is not a
+    usual one."""
     name = model.getTimeUnits() or "time"  # "time" is what level 2 redefines
     defined = model.getUnitDefinition(name)
     if defined is None or defined.getNumUnits() != 1:

@@ -260,7 +260,7 @@ def monomials(*variables: Expr, degree: int = 2, orders: Sequence[int] | None = 
     ``orders``: the greatest power of each variable; None: ``degree``. They are the candidates of
     ``equation_error(..., terms=...)``, as in E. A. Morelli, J. Aircraft 32(2), 1995.
 
-    Raises OptionError for a degree or orders that are no whole numbers, or no symbols.
+    Raises OptionError for a degree or orders that are not whole numbers, or no symbols.
 
     >>> import phugoid as ph
     >>> a, q = ph.Model("Cm").inputs(alpha="rad", q="rad/s")
@@ -304,14 +304,16 @@ def with_candidates(model: Model, terms: Mapping[str, Any]) -> tuple[Model, list
     for place, given in terms.items():
         key = place if place in keys else f"y:{place}"
         if key not in keys:
-            raise ModelError(f"equation_error: terms: '{place}' is no equation.{listing(str(place), list(keys))}")
+            raise ModelError(f"equation_error: terms: '{place}' is not an equation.{listing(str(place), list(keys))}")
         named = given if isinstance(given, Mapping) else None
         if named is None and not isinstance(given, (list, tuple)):
             raise OptionError(f"equation_error: terms of '{place}' are a list of expressions, not {given!r}")
         expressions = list(named.values()) if named is not None else list(given)
         for i, e in enumerate(expressions):
             if not isinstance(e, Expr):
-                raise OptionError(f"equation_error: terms of '{place}': {e!r} is no expression of the model's symbols")
+                raise OptionError(
+                    f"equation_error: terms of '{place}': {e!r} is not an expression in the model's symbols"
+                )
             name = list(named)[i] if named is not None else _called(keys[key], str(e))
             if name in taken:
                 raise ModelError(f"equation_error: terms of '{place}': there is a parameter '{name}' already")

@@ -82,7 +82,7 @@ class UniformSegment:
 
 
 def uniform_segments(times: _Array) -> Sequence[UniformSegment]:
-    """Return the segments of increasing times (n,): where a step is no multiple of the usual one, another begins.
+    """Return the segments of increasing times (n,): where a step is not a multiple of the usual one, another begins.
 
     The usual step is the median; where more samples are missing than that tells, a lesser one that leaves fewer
     segments. Where times jitter so much that hardly any two are so far apart, all samples are one segment: that each
@@ -269,7 +269,7 @@ _LAGS = 100
 def autocorrelation_of(series: Sequence[Series]) -> tuple[_Array, _Array, _Array]:
     """Lags in s, autocorrelation about zero, and its variance if residuals are white, of all experiments together.
 
-    The variance is that of residuals of which the size may change (Diebold 1986): a noisy stretch is no colour.
+    The variance is that of residuals of which the size may change (Diebold 1986): a noisy stretch is not colour.
     """
     grids = [s.segment.on_grid(s.r) for s in series]
     n = sum(s.r.size for s in series)

@@ -200,7 +200,7 @@ class CorrelatedNoise:
 _SEGMENT = 256  # samples of a segment of Welch's method, at most
 _BACKGROUND = 61  # frequencies whose median is the background of a tone
 _NEAR = np.repeat([1.0, 0.0, 1.0], [8, 5, 8])  # weights of lines by a line, without those that its window spreads to
-_SLOWEST = 4  # cycles in the record: less is no tone
+_SLOWEST = 4  # cycles in the record: less is not a tone
 _LEAST = 64  # places of the grid for a tone
 _MOST = 3
 

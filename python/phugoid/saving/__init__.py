@@ -273,9 +273,9 @@ def check_fit(fit: FitResult, moved: bool = True) -> None:
     fit.noise.resolve(fit.model.output_names, dict.fromkeys(fit.model.output_names, 1.0), {})
     check_kinds("", vars(fit), ("status", "message"), ("iterations",), ("log_likelihood", "time"))
     integrated = fit.integrated_log_likelihood
-    _require(integrated is None or type(integrated) in (float, int), "integrated_log_likelihood is no number")
+    _require(integrated is None or type(integrated) in (float, int), "integrated_log_likelihood is not a number")
     _require(fit.status in HINTS, f"status is {_brief(fit.status)}, which is none")
-    _require(all(isinstance(w, str) for w in fit.warnings), "warnings: one is no text")
+    _require(all(isinstance(w, str) for w in fit.warnings), "warnings: one is not text")
     _records(fit)
     _parameters(fit)
     _check_history("history", fit.history)
@@ -308,14 +308,14 @@ def check_kinds(
     """Raise DataError unless the values of these names are of these kinds; ``numbers`` may be NaN or infinite."""
     kinds: list[tuple[Iterable[str], str, Callable[[Any], bool]]] = [
         (texts, "text", lambda v: isinstance(v, str)),
-        (whole, "whole number from 0", lambda v: type(v) is int and 0 <= v <= _WHOLE),
-        (numbers, "number", lambda v: type(v) is float or (type(v) is int and abs(v) <= _WHOLE)),
-        (flags, "truth value", lambda v: isinstance(v, bool)),
+        (whole, "a whole number from 0", lambda v: type(v) is int and 0 <= v <= _WHOLE),
+        (numbers, "a number", lambda v: type(v) is float or (type(v) is int and abs(v) <= _WHOLE)),
+        (flags, "a truth value", lambda v: isinstance(v, bool)),
     ]
     for names, kind, fits in kinds:
         for name in names:
             where = f"{place}.{name}" if place else name
-            _require(fits(values[name]), f"{where} is no {kind}, but {_brief(values[name])}")
+            _require(fits(values[name]), f"{where} is not {kind}, but {_brief(values[name])}")
 
 
 def _parameters(fit: FitResult) -> None:
@@ -468,7 +468,8 @@ def _names(place: str, group: Collection[str], names: Sequence[str], empty: bool
 
 
 def _units(place: str, units: Any) -> None:
-    _require(isinstance(units, Mapping) and all(isinstance(u, str) for u in units.values()), f"{place}: one is no text")
+    texts = isinstance(units, Mapping) and all(isinstance(u, str) for u in units.values())
+    _require(texts, f"{place}: one is not text")
 
 
 def _require(fine: bool, otherwise: str) -> None:

@@ -198,15 +198,15 @@ def to_json(obj: Mapping[str, Any], keep: _Keep | None = None, name: str = FORMA
 def from_json(text: str, source: str = "the text", name: str = FORMAT) -> tuple[dict[str, Any], int]:
     """Return the dictionary that `to_json` took, with arrays as lists, and the version of the format ``name``.
 
-    Raises DataError where ``text`` is cut short, is no JSON, is of another format, comes from a newer version, or is
+    Raises DataError where ``text`` is cut short, is not JSON, is of another format, comes from a newer version, or is
     not what its checksum says; ``source`` is how the message calls it.
     """
     try:
         document = json.loads(text, parse_constant=_no_number)
     except (ValueError, RecursionError) as error:
         place = f"line {error.lineno}: {error.msg}" if isinstance(error, json.JSONDecodeError) else error
-        what = "is empty" if not text.strip() else f"is no complete JSON ({place})"
-        raise DataError(f"{source}: {what}; the file is damaged or cut short, or is no saved {_WHAT[name]}") from None
+        what = "is empty" if not text.strip() else f"is not complete JSON ({place})"
+        raise DataError(f"{source}: {what}; the file is damaged or cut short, or not a saved {_WHAT[name]}") from None
     found = document.pop("format", None) if isinstance(document, dict) else None
     if found != name:
         raise DataError(f"{source}: is not a {_WHAT[name]} saved by phugoid (format {found!r} instead of '{name}')")
@@ -223,7 +223,7 @@ def from_json(text: str, source: str = "the text", name: str = FORMAT) -> tuple[
 
 
 def _no_number(name: str) -> None:
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not a number of JSON")
 
 
 def save_fit_dict(
@@ -284,7 +284,7 @@ def _text(path: str | PathLike[str], what: str) -> str | None:
     except FileNotFoundError:
         raise DataError(f"{path}: there is no such file") from None
     except UnicodeDecodeError:
-        raise DataError(f"{path}: is not a {what} saved by phugoid, or is damaged (it is no text)") from None
+        raise DataError(f"{path}: is not a {what} saved by phugoid, or is damaged (it is not text)") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
     return None if binary else text

@@ -1,4 +1,4 @@
-"""A fit linearised: residuals, and how the outputs answer to parameters, first states and forces."""
+"""A fit linearised: residuals, and how the outputs answer to parameters, initial states and forces."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Linearised:
     times     (n_rows,) s.
     residuals (n_rows,) measured minus model.
     sigmas    (n_y,) standard deviations of the noise as fitted.
-    tangents  (n_rows, k) changes of the outputs by the free parameters and first states: an orthogonal basis in units
+    tangents  (n_rows, k) changes of the outputs by the free parameters and initial states: an orthogonal basis in units
               of the noise, k their number (less where data or conditions leave less).
     """
 
@@ -188,7 +188,7 @@ class Linearised:
 
     @property
     def n_unknowns(self) -> int:
-        """Number of free parameters of the model and first states, less the conditions on these."""
+        """Number of free parameters of the model and initial states, less the conditions on these."""
         problem = self._problem
         free = problem.n_theta - len(self._held())
         return free + problem.n_states * len(self.inner.records) - len(problem.boundary_states)
@@ -207,7 +207,7 @@ class Linearised:
         n_theta, n_x = problem.n_theta, problem.n_states
         wanted = [i for i in range(n_theta) if i not in held]
         for first, record in zip(problem.first_point[:-1], self.inner.records, strict=True):
-            # The last states too: in an unstable motion all first states but those on one line are out of reach.
+            # The last states too: in an unstable motion all initial states but those on one line are out of reach.
             for point in (first, first + record.mesh_t.size - 1):
                 wanted += range(n_theta + n_x * point, n_theta + n_x * (point + 1))
         found = _core.tangents(problem, self._xi, held, wanted, time_is_up)
@@ -338,7 +338,7 @@ class Linearised:
         """Split tangents with changes ``moves`` (n, k) of n parameters into those of parameters and of initial states.
 
         (k, n) combinations of tangents in the least way for a change of each parameter, and (n_rows, m) an orthonormal
-        basis of the outputs' changes, in units of the noise, that first states make alone.
+        basis of the outputs' changes, in units of the noise, that initial states make alone.
         """
         size = np.linalg.norm(moves, axis=1, keepdims=True)
         size[size == 0.0] = 1.0
@@ -384,7 +384,7 @@ class Linearised:
         """Return the responses of the outputs to the coefficients of candidates at a shape.
 
         (k, n_rows) answers, (k, n_theta) how parameters took part in them, and which of the k are each effect's. What
-        differs by tangents is the same answer: parameters and first states take part in the least way, or none.
+        differs by tangents is the same answer: parameters and initial states take part in the least way, or none.
         """
         ends = np.cumsum([0, *(1 if c.unit_amplitude else len(c.coefficients) for c, _ in effects)]).tolist()
         groups = [slice(a, b) for a, b in pairwise(ends)]

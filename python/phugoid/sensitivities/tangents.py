@@ -73,7 +73,7 @@ _AT_BOUND = 1e-6
 
 
 class Tangents:
-    """The space in which the estimates scatter: free parameters and first states, and unknowns of the noise.
+    """The space in which the estimates scatter: free parameters and initial states, and unknowns of the noise.
 
     Coordinates c (k,) are such that the outputs change by ``basis`` c, in units of the noise; those of the noise stand
     behind.
@@ -206,14 +206,14 @@ class Tangents:
 
 def parameter_sensitivities(linear: Linearised) -> tuple[list[str], _Array]:
     """Names of the free parameters (n) and J (rows, n): changes of the outputs by them, in units of the noise, less
-    what first states could make up for.
+    what initial states could make up for.
 
     In a form that has an answer where the information is singular too:
 
         J = (1 - Q Q') D P^+,    information = J' J,
 
     with D (rows, k) changes of the outputs in units of the noise, P (n, k) the changes of the parameters that go with
-    them, and Q a basis of those changes that first states make alone.
+    them, and Q a basis of those changes that initial states make alone.
     """
     columns, moves = linear.moves
     names = [name for name, *_ in linear._problem.estimands]

@@ -237,7 +237,7 @@ class _Evaluated(NamedTuple):
 class RandomEffects:
     """Residuals r = T b + G d + v of a fit.
 
-    T are the tangents, with free coefficients b (parameters and first states), G answers to signals with random
+    T are the tangents, with free coefficients b (parameters and initial states), G answers to signals with random
     coefficients d ~ N(0, s² C), and v white noise of a variance for each output.
 
     The likelihood is that of a linear mixed model, maximised over b, s² and the variances of the noise (Harville 1977;

@@ -428,7 +428,7 @@ class Ipopt:
             "honor_original_bounds": "yes",
         }
         if self.time_limit is not None:
-            # More than Ipopt takes is no limit.
+            # More than Ipopt takes is not a limit.
             left = self.time_limit - (time.perf_counter() - started)
             options["max_wall_time"] = min(max(left, 1e-3), 1e20)
         if self.scaling:

@@ -302,7 +302,7 @@ _TRIED, _FAR = 5, 5.0
 class ProcessNoiseResampler(Resampler):
     """Simulates the model with the recorded inputs and drawn process noise, and adds drawn sensor noise.
 
-    First states are those of the fit, and drawn where they have a prior.
+    Initial states are those of the fit, and drawn where they have a prior.
     """
 
     fit: FitResult | None = None

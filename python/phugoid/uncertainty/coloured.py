@@ -26,13 +26,13 @@ from ..residual_noise.whitening import (
 from ..sensitivities.tangents import Tangents
 from ..time_unit import SECONDS, TimeUnit
 
-__all__ = ["Coloured", "Colouring", "coloured"]
+__all__ = ["Colouring", "CorrectedErrors", "coloured"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Coloured:
+class CorrectedErrors:
     """The result of `Fit.robust`: a fit's standard errors, corrected for coloured residuals.
 
     parameters      by name, with corrected standard errors; NaN where the fit has none, and for noise parameters of
@@ -89,9 +89,9 @@ class Coloured:
     def __repr__(self) -> str:
         known = [r for r in self.inflation.values() if math.isfinite(r)]
         return (
-            f"<Coloured: standard errors {min(known):.2f} to {max(known):.2f} times as large>"
+            f"<CorrectedErrors: standard errors {min(known):.2f} to {max(known):.2f} times as large>"
             if known
-            else "<Coloured>"
+            else "<CorrectedErrors>"
         )
 
 
@@ -190,12 +190,12 @@ def _positive_semidefinite(matrix: _Array) -> _Array:
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
-def coloured(fit: FitResult) -> Coloured:
+def coloured(fit: FitResult) -> CorrectedErrors:
     """Return what `Fit.robust` gives, computed once for each fit; see there."""
     return fit._once("_coloured", lambda: _corrected(fit))
 
 
-def _corrected(fit: FitResult) -> Coloured:
+def _corrected(fit: FitResult) -> CorrectedErrors:
     try:
         c = Colouring(Tangents.of(fit, "coloured"))
     except np.linalg.LinAlgError as error:
@@ -217,7 +217,7 @@ def _corrected(fit: FitResult) -> Coloured:
         for n, p, g in zip(fit.model.output_names, c.processes, grid, strict=True)
     }
     steps = dict(zip(fit.model.output_names, (g.step for g in grid), strict=True))
-    return Coloured(
+    return CorrectedErrors(
         parameters=Estimates(
             replace(e, std_error=float(s)) for e, s in zip(fit.parameters.values(), errors, strict=True)
         ),

@@ -12,7 +12,7 @@ pub(crate) enum Level {
     #[cfg(target_arch = "x86_64")]
     Avx2,
     /// AVX-512 as in x86-64-v4.
-    #[cfg(target_arch = "x86_64")]
+    #[cfg(all(target_arch = "x86_64", feature = "avx512"))]
     Avx512,
 }
 
@@ -24,6 +24,7 @@ impl Level {
         {
             use std::arch::is_x86_feature_detected as has;
             let v3 = has!("avx2") && has!("fma");
+            #[cfg(feature = "avx512")]
             if v3 && has!("avx512f") && has!("avx512dq") && has!("avx512vl") && has!("avx512bw") {
                 return Level::Avx512;
             }
@@ -48,14 +49,14 @@ macro_rules! kernel {
             fn avx2($($arg: $type),*) $(-> $ret)? {
                 body($($arg),*)
             }
-            #[cfg(target_arch = "x86_64")]
+            #[cfg(all(target_arch = "x86_64", feature = "avx512"))]
             #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw,avx2,fma")]
             fn avx512($($arg: $type),*) $(-> $ret)? {
                 body($($arg),*)
             }
             match $crate::simd::Level::best() {
                 // SAFETY: the machine has these instructions.
-                #[cfg(target_arch = "x86_64")]
+                #[cfg(all(target_arch = "x86_64", feature = "avx512"))]
                 $crate::simd::Level::Avx512 => unsafe { avx512($($arg),*) },
                 #[cfg(target_arch = "x86_64")]
                 $crate::simd::Level::Avx2 => unsafe { avx2($($arg),*) },

@@ -145,7 +145,7 @@ impl PyFilter {
         self.0.noises()
     }
 
-    /// States and outputs of each record from first states, with noises in standard deviations.
+    /// States and outputs of each record from initial states, with noises in standard deviations.
     fn simulate<'py>(
         &self,
         py: Python<'py>,

@@ -78,7 +78,7 @@ pub fn tangents<'py>(
 /// (samples, n_y) to the outputs for a signal of 1: (k, rows), and how parameters take part, (k, n_θ); `None` where
 /// something is not finite. `by_state` (samples, n_y, n_x) and `by_parameter` (samples, n_y, n_θ) are derivatives of the
 /// outputs, `rows` (samples, n_y) tells which row each is, -1 that it is none. Of several experiments all is after each
-/// other. Forward in time parameters and first states take no part; where the motion is too unstable for that, the
+/// other. Forward in time parameters and initial states take no part; where the motion is too unstable for that, the
 /// least. `stop` is asked now and then whether to end with a KeyboardInterrupt.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)]

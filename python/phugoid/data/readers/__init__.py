@@ -43,7 +43,7 @@ class Source:
 
     where     what messages call it.
     name      what the experiment is called unless the user says otherwise.
-    left_out  name -> why it is no column, for messages on names that may be asked for.
+    left_out  name -> why it is not a column, for messages on names that may be asked for.
     group     the group that holds all columns and is not part of their names, with its dot; "" where there is none.
     """
 
@@ -54,7 +54,7 @@ class Source:
     group: str = ""
 
     def bare(self, name: Any) -> Any:
-        """Return the name of a column without the group; what is no text, as it is."""
+        """Return the name of a column without the group; what is not text, as it is."""
         return name.removeprefix(self.group) if isinstance(name, str) else name
 
 
@@ -72,7 +72,7 @@ def existing(path: Path) -> None:
         folder = path.parent.resolve()
         if not folder.is_dir():
             raise DataError(f"{path}: there is no such file; there is no folder {folder} either")
-        # A record with another number is another record, and one with another ending is no slip of a finger.
+        # A record with another number is another record, and one with another ending is not a slip of a finger.
         near = [p.stem for p in folder.iterdir() if p.suffix == path.suffix and _digits(p.name) == _digits(path.name)]
         meant = nearest(path.stem, near)  # without the ending, which makes any two names alike
         hint = f" Did you mean '{meant}{path.suffix}'?" if meant else ""

@@ -295,7 +295,7 @@ def is_whole(raw: bytes) -> bool:
 
 
 def _elements(raw: bytes, start: int, end: int, order: str) -> list[tuple[int, int, int]] | None:
-    """Return type, first byte and size of each element; None where the bytes are no valid element."""
+    """Return type, first byte and size of each element; None where the bytes are not valid element."""
     found = []
     while start < end:
         if start + 8 > end:

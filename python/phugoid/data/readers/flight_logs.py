@@ -82,7 +82,7 @@ def _ulog_columns(core: Any, path: Path, time: str | None, topics: list[str] | N
 
 
 _FILE = re.compile(r"(.+)_(\d+)\.csv(?:\.gz)?")
-# Topics begin so: where all tables of a folder share such a word, it is no part of the log's name.
+# Topics begin so: where all tables of a folder share such a word, it is not a part of the log's name.
 _FIRST_WORDS = ("vehicle", "sensor", "actuator", "estimator", "airspeed", "battery", "distance", "position")
 
 
@@ -190,7 +190,7 @@ def _messages(log: Any, names: set[str]) -> dict[str, dict[int, list[list[Any]]]
 
 
 def _unit(kind: Any, column: str) -> str:
-    """Return a unit as given in the log; "" for text that is no unit."""
+    """Return a unit as given in the log; "" for text that is not a unit."""
     unit = str(kind.get_unit(column)).strip()
     named = {"deglatitude": "deg", "deglongitude": "deg", "degheading": "deg", "UNKNOWN": "", "instance": ""}
     return named.get(unit, unit)

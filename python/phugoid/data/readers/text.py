@@ -28,7 +28,7 @@ def read_text(path: Path, columns: Sequence[str] | None, delimiter: str | None) 
 
     Lines that begin with ``#`` or ``%`` are comments, and lines with fewer cells before the header are passed over. A
     column of dates with times (ISO 8601) is one of ``datetime64``. DataError names the line of a row that has too many
-    or too few cells, and the line and the column of a cell that is no number.
+    or too few cells, and the line and the column of a cell that is not a number.
     """
     table = _parse(path, columns, delimiter)
     parts = zip(table.names, table.units, table.headers, strict=True)
@@ -116,7 +116,7 @@ def _header_at(content: Sequence[tuple[int, str]], split: Callable[[str], list[s
     for k, (_, line) in enumerate(content):
         cells = split(_join_unit(line))
         if len(cells) == wide:
-            # A row of units beneath a header that lacks a name is no header.
+            # A row of units beneath a header that lacks a name is not a header.
             named = all(_is_text(cell) and cell[0] not in "[(" for cell in cells if cell)
             return k if named and any(cells) else 0
         if len(cells) > wide:
@@ -166,7 +166,7 @@ def _splitter(file: str, delimiter: str | None, sample: str) -> Any:
             try:
                 return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
             except csv.Error as error:
-                raise DataError(f"{file}: is no table of text ({error})") from None
+                raise DataError(f"{file}: is not a table of text ({error})") from None
         return [cell.strip() for cell in line.split(delimiter)]
 
     return split
@@ -226,8 +226,8 @@ def _moment(table: _Table, i: int, name: str, cell: str) -> np.datetime64:
         moment = np.datetime64(f"{day}T{clock.replace(',', '.')}", "ns")
     except ValueError:
         raise DataError(
-            f"{table.file}, line {table.lines[i]}, column '{name}': '{cell}' is no date with its time, as other cells "
-            "of the column are (2024-05-31T12:00:00.25)"
+            f"{table.file}, line {table.lines[i]}, column '{name}': '{cell}' is not a date with its time, as other "
+            "cells of the column are (2024-05-31T12:00:00.25)"
         ) from None
     offset = np.timedelta64(int(hours) * 60 + int(minutes), "m") if sign else np.timedelta64(0, "m")
     return moment + offset if sign == "-" else moment - offset

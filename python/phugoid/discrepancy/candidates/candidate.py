@@ -136,7 +136,7 @@ class Candidate(ABC):
 
     @abstractmethod
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        """Range of each of its parameters, in its unit, outside of which it is no physical explanation."""
+        """Range of each of its parameters, in its unit, outside of which it is not a physical explanation."""
 
 
 _Self = TypeVar("_Self", bound="Effect")

@@ -121,7 +121,7 @@ def misfit(fit: FitResult) -> Misfit:
     Records with gaps, of several rates and of any number are taken; what is too short gets fewer answers, and
     ``notes`` says so.
 
-    Raises DataError for what is no fit, or where there are no residuals at all.
+    Raises DataError for what is not a fit, or where there are no residuals at all.
     """
     if not hasattr(fit, "records") or not hasattr(fit, "model"):
         raise DataError(f"misfit: give a fit, as estimate returns it, not a {type(fit).__name__}")

@@ -65,7 +65,7 @@ class Finding:
                    as "one of cause and aliases".
     status         "named"; "minor": significant, but it explains less of the misfit than 5 %, or no more than chance
                    does, in free simulation; "surrogate": it fits, but stands in for something else, since a parameter
-                   is outside of what is physical, or what it leaves is no noise and more than it explains;
+                   is outside of what is physical, or what it leaves is not noise and more than it explains;
                    "unexplained": the residuals hold more than noise, and no candidate predicts it.
     coefficient, std_error, interval   of its first parameter, or the amplitude of what is periodic, in ``unit``; the
                    interval is of 95 %. NaN where unexplained. Standard errors are those for noise with the
@@ -84,8 +84,8 @@ class Finding:
     ringing        Hz, of lightly damped modes of the model at which the residuals ring, where the misfit is that and is
                    unexplained; ``gain`` is then by noise that does not ring.
     explained      the part of the misfit that it explains beside the other findings, 1 for all, in free simulation of
-                   data held out: nothing but first states and biases is estimated there. The misfit is the mean square
-                   of the residuals of the model diagnosed, less that of their innovations. NaN where unexplained.
+                   data held out: only initial states and biases are estimated there. The misfit is the mean square of
+                   the residuals of the model diagnosed, less that of their innovations. NaN where unexplained.
     explained_interval   of 95 %, by a block bootstrap over time.
     explained_outputs    output -> by how much its mean square falls, in parts of that of the model diagnosed.
     rivals_explained     alias -> part of the misfit that it would explain in place of the cause.

@@ -14,7 +14,7 @@ use crate::solver::state_units;
 use crate::threads::Threads;
 use crate::threads::prelude::*;
 
-/// First states may grow by this factor, in units of what the states do: digits that a later projection loses.
+/// Initial states may grow by this factor, in units of what the states do: digits that a later projection loses.
 const GROWTH: f64 = 1e6;
 
 /// Operations of a segment for each right-hand side, about: what is between two looks at the clock follows from it.
@@ -170,7 +170,7 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
         Ok((forward.growth(&units) < GROWTH).then_some(forward))
     }
 
-    /// Returns the growth of first states of the size of the states' units, in these units.
+    /// Returns the growth of initial states of the size of the states' units, in these units.
     fn growth(&self, units: &[f64]) -> f64 {
         let n = self.problem.layout.n_x;
         let unit = |r: usize| units.get(r).copied().unwrap_or(1.0);
@@ -193,7 +193,7 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
     }
 
     /// States at the samples, `out[k][sample · n_x + state]` of all experiments after each other, in response
-    /// to slopes added to f, (k, points · n_x), with first states and parameters fixed. They are invalid where the
+    /// to slopes added to f, (k, points · n_x), with initial states and parameters fixed. They are invalid where the
     /// interrupt in force stopped it.
     pub fn solve(&self, slopes: &[&[f64]]) -> Vec<Vec<f64>> {
         let n = self.problem.layout.n_x;
@@ -287,7 +287,7 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
         self.march(variables.len(), first, force, tied)
     }
 
-    /// Goes from the first states of each experiment through its segments: `force` adds the right-hand sides of one,
+    /// Goes from the initial states of each experiment through its segments: `force` adds the right-hand sides of one,
     /// `tied` those of a sample between mesh points.
     fn march(
         &self,

@@ -1,10 +1,8 @@
 //! Residuals and sensitivities made white: prediction errors of autoregressive models, channel by channel, and what
 //! scans of candidates ask of whitened columns, block by block.
 
-use faer::linalg::matmul::matmul;
-use faer::{Accum, MatMut, MatRef, Par};
-
 use super::passage::{Passage, Predictors};
+use crate::dense::large::transposed_product;
 use crate::threads::Threads;
 use crate::threads::prelude::*;
 
@@ -105,7 +103,7 @@ impl Whitening {
                 (begin, first) = (end, i + 1);
             }
         }
-        let vectors = MatRef::from_column_major_slice(vectors, n, m);
+        let vectors = &vectors[..n * m];
         let found = blocks.into_par_iter().map_init(
             Vec::new,
             |white, (begin, end, sizes): (usize, usize, &[usize])| {
@@ -114,17 +112,15 @@ impl Whitening {
                 for (out, column) in white.chunks_exact_mut(n).zip(columns[begin * n..].chunks_exact(n)) {
                     self.one(column, out);
                 }
-                let white = MatRef::from_column_major_slice(&white[..k * n], n, k);
+                let white = &white[..k * n];
                 let mut along = vec![0.0; m * k];
-                let to = MatMut::from_column_major_slice_mut(&mut along, m, k);
-                matmul(to, Accum::Replace, vectors.transpose(), white, 1.0, Par::Seq);
+                transposed_product(&mut along, vectors, white, [m, n, k]);
                 let mut grams = Vec::with_capacity(sizes.iter().map(|s| s * s).sum());
                 let mut first = 0;
                 for &size in sizes {
-                    let group = white.subcols(first, size);
+                    let group = &white[first * n..(first + size) * n];
                     let mut gram = vec![0.0; size * size];
-                    let to = MatMut::from_column_major_slice_mut(&mut gram, size, size);
-                    matmul(to, Accum::Replace, group.transpose(), group, 1.0, Par::Seq);
+                    transposed_product(&mut gram, group, group, [size, n, size]);
                     grams.extend(gram);
                     first += size;
                 }

@@ -114,7 +114,7 @@ pub struct Fit {
     /// Of the measurements, without the constant −N n_y/2 ln 2π and without priors (Eq. ellz_defn).
     pub log_likelihood: f64,
     /// The same of the model integrated with the estimates, independent of the mesh: of a run by collocation that a limit cut,
-    /// and where samples are few and the parameters tell the first states; not of a model with delays, nor where the caller
+    /// and where samples are few and the parameters tell the initial states; not of a model with delays, nor where the caller
     /// stopped it. NaN where the model cannot be integrated.
     pub integrated: Option<f64>,
     /// How it ended.
@@ -203,7 +203,7 @@ impl Fit {
 }
 
 impl Simulation<'_> {
-    /// Takes parameters and first states from a fit; single ones given go before.
+    /// Takes parameters and initial states from a fit; single ones given go before.
     pub fn fit(mut self, fit: &Fit) -> Self {
         self.known = fit.parameters.iter().map(|e| (e.name.clone(), e.value)).collect();
         let record = fit.records.iter().find(|r| r.name == self.experiment.name);

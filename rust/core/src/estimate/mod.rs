@@ -257,7 +257,7 @@ impl<'a> Estimation<'a> {
     }
 
     /// Whether the mesh follows the motion, as a simulation with the estimates shows it: unless said, where it has one segment
-    /// between samples, samples are few, and the parameters tell all first states.
+    /// between samples, samples are few, and the parameters tell all initial states.
     pub fn moving_mesh(mut self, moving: bool) -> Self {
         self.moving_mesh = Some(moving);
         self

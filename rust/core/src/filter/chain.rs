@@ -153,14 +153,14 @@ impl Chain {
         Ok(f)
     }
 
-    /// First states that have a prior.
+    /// Initial states that have a prior.
     fn random(&self) -> Vec<(usize, f64)> {
         // An infinite deviation is a flat prior, of density 1.
         let unit = |s: f64| if s.is_finite() { s } else { 1.0 };
         self.prior.iter().enumerate().filter_map(|(i, s)| s.map(|s| (i, unit(s)))).collect()
     }
 
-    /// Cholesky factor of S P_0 S over the first states with a prior of standard deviations S.
+    /// Cholesky factor of S P_0 S over the initial states with a prior of standard deviations S.
     fn random_first(&self, f: &Factor) -> Result<Vec<f64>, Fault> {
         let random = self.random();
         let mut block = Vec::with_capacity(random.len() * random.len());
@@ -171,7 +171,7 @@ impl Chain {
         Ok(block)
     }
 
-    /// ln det of the Hessian in what is random: the noises ε, and first states with a prior in units of its
+    /// ln det of the Hessian in what is random: the noises ε, and initial states with a prior in units of its
     /// standard deviation.
     pub(super) fn log_det(&self, f: &Factor) -> Result<f64, Fault> {
         let m = self.m;

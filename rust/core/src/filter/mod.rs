@@ -21,7 +21,7 @@
 //! otherwise. The noise is described by ε and not by x_{k+1} − Φ(x_k, 0): a state without process noise is then a
 //! constraint like any other, no noise at all (q = 0) is the output-error method, and nothing is singular there.
 //!
-//! First states are integrated out like the noises, over a prior that may be flat, or maximised over like θ, as the
+//! Initial states are integrated out like the noises, over a prior that may be flat, or maximised over like θ, as the
 //! output-error method does. The latter makes the likelihood grow without bound where process noise explains
 //! an output by itself and its σ goes to 0: the first sample is then fitted exactly at no cost.
 //!

@@ -39,7 +39,7 @@ pub(super) struct At<'a> {
     pub(super) driving: Vec<f64>,
     /// Number of noises of an interval.
     pub(super) m: usize,
-    /// Mean and standard deviation of the first states that have a prior.
+    /// Mean and standard deviation of the initial states that have a prior.
     pub(super) initial: &'a [Option<(f64, f64)>],
     pub(super) run: &'a Run,
     /// Memory of the integrations; it is not given back between them.
@@ -120,7 +120,7 @@ impl At<'_> {
         found.ok_or_else(|| Lost::without(&current()))
     }
 
-    /// The noise part of the cost, and that of the priors of first states, without constants.
+    /// The noise part of the cost, and that of the priors of initial states, without constants.
     fn rest(&self, path: &Path) -> f64 {
         let first = self.initial.iter().zip(&path.x);
         let prior = first.filter_map(|(p, x)| p.map(|(mean, std)| ((x - mean) / std).powi(2)));

@@ -35,7 +35,7 @@ use crate::threads::prelude::*;
 use pieces::Uniforms;
 
 /// Shooting: −ℓ of an integrated path, to be minimised over θ and the states at the *nodes*, where segments start
-/// (Eq. multiple_shooting_decision; the first states are unknowns too), such that each segment ends where the next
+/// (Eq. multiple_shooting_decision; the initial states are unknowns too), such that each segment ends where the next
 /// starts. The integration takes explicit steps of fixed length, so that the likelihood is smooth, and its derivatives
 /// are those of the steps.
 ///

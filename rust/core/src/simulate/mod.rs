@@ -20,7 +20,7 @@ use flow::Flow;
 
 /// A simulation over the inputs of a record, as it is put together.
 ///
-/// The first states are those given, else those of the fit for an experiment of this name, else what the model's
+/// The initial states are those given, else those of the fit for an experiment of this name, else what the model's
 /// initial conditions say, else as measured at the first sample that has a value, else 0. Delays are those of the
 /// model itself: a late input is the input moved, a late output that of a time before, NaN where it reaches back
 /// beyond the first sample.
@@ -47,7 +47,7 @@ use flow::Flow;
 pub struct Simulation<'a> {
     model: &'a Model,
     pub(crate) experiment: &'a Experiment,
-    /// Parameters and first states of a fit, which those given go before.
+    /// Parameters and initial states of a fit, which those given go before.
     pub(crate) known: Vec<(String, f64)>,
     pub(crate) known_initial: Vec<(String, f64)>,
     parameters: Vec<(String, f64)>,

@@ -2,7 +2,7 @@
 //!
 //! With few samples and states that are not measured, the equations are all that keeps a path in place, and a full step of the
 //! parameters tears it: defects of a torn path say nothing of the likelihood, and what lowers them leads anywhere. Here the
-//! states are dependent variables. A step is that of a trust region in the parameters and free first states, in units of steps
+//! states are dependent variables. A step is that of a trust region in the parameters and free initial states, in units of steps
 //! that make sense ([`crate::nlp::Nlp::longest_step`]); the path is integrated anew after each, and the likelihood there
 //! decides (the projection onto the constraints of a generalised reduced-gradient method: Nocedal and Wright,
 //! sections 4.1 and 15.3). It is single shooting with the equations of collocation.

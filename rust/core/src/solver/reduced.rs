@@ -1,4 +1,4 @@
-//! The program with its states eliminated: gradient and Hessian in parameters and free first states, and a trust region.
+//! The program with its states eliminated: gradient and Hessian in parameters and free initial states, and a trust region.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 

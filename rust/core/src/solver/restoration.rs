@@ -1,8 +1,8 @@
-//! Restoration by integration: the states that follow from the parameters and the first states.
+//! Restoration by integration: the states that follow from the parameters and the initial states.
 //!
 //! With these given, the constraints of a chain are a block triangular system of equations for all other states: of
 //! each segment, one after the other, as an implicit Runge-Kutta method solves them (Hairer and Wanner, Solving Ordinary
-//! Differential Equations II, section IV.8). Conditions on the first states come before. Newton's method for all blocks at once
+//! Differential Equations II, section IV.8). Conditions on the initial states come before. Newton's method for all blocks at once
 //! is tried from the states as they are; where that does not contract, windows of segments are solved, each from the states as
 //! they are or, where these lead nowhere, from the end of the window before.
 //!
@@ -129,7 +129,7 @@ pub(super) struct Restoration {
 }
 
 impl Restoration {
-    /// The blocks of a program; `None` where its states do not follow from parameters and first states, as with
+    /// The blocks of a program; `None` where its states do not follow from parameters and initial states, as with
     /// conditions on the last ones.
     pub fn new(program: &Program<'_>) -> Option<Restoration> {
         let nlp = program.nlp;
@@ -147,7 +147,7 @@ impl Restoration {
             factor: 0,
             pivots: 0,
         };
-        let mut conditions = Vec::new(); // rows that may depend on the first states alone
+        let mut conditions = Vec::new(); // rows that may depend on the initial states alone
         for (e, chain) in chains.chains.iter().enumerate() {
             let (row, states) = (chain.boundary.row.0, &chain.boundary.states);
             if !states.is_empty() {
@@ -216,7 +216,7 @@ impl Restoration {
         })
     }
 
-    /// Sets all states that follow from the parameters and the first states in ξ; whether there are such states, and within
+    /// Sets all states that follow from the parameters and the initial states in ξ; whether there are such states, and within
     /// their bounds.
     pub fn restore(&mut self, program: &Program<'_>, xi: &mut [f64]) -> bool {
         self.kept.copy_from_slice(xi);

@@ -22,7 +22,7 @@ pub(super) struct ChainPlan {
     pub ties: Vec<u32>,
     /// Jacobian entries of each part by segment.
     pub parts: Vec<PartPlan>,
-    /// Entries of the boundary conditions, at their places in rows of (first states, last states, dynamic border).
+    /// Entries of the boundary conditions, at their places in rows of (initial states, last states, dynamic border).
     pub boundary: Items,
     /// Hessian entries of the first point, and of the own points of each segment.
     pub hessian: Items,

@@ -1,9 +1,9 @@
-//! The covariance of parameters and first states.
+//! The covariance of parameters and initial states.
 
 use nalgebra::DMatrix;
 
 use super::ArrowKkt;
-use crate::dense::add_large_product;
+use crate::dense::large::add_product;
 use crate::index::VariableId;
 use crate::interrupt::current;
 
@@ -31,7 +31,7 @@ impl ArrowKkt {
             of_border.row_mut(i).fill(0.0);
             of_border.column_mut(i).fill(0.0);
         }
-        // Everything wanted follows θ, and first states of one chain vary beside.
+        // Everything wanted follows θ, and initial states of one chain vary beside.
         let mut follow = DMatrix::zeros(k, size);
         let mut beside = DMatrix::<f64>::zeros(k, k);
         let mut found = 0;
@@ -72,13 +72,8 @@ impl ArrowKkt {
             }
             let (these, own) = (size * first..size * (first + count), k * first..k * (first + count));
             let mut of_these = vec![0.0; size * count];
-            add_large_product(
-                &mut of_these,
-                of_border.as_slice(),
-                &back.as_slice()[these],
-                [size, size, count],
-            );
-            add_large_product(&mut all.as_mut_slice()[own], follow.as_slice(), &of_these, [k, size, count]);
+            add_product(&mut of_these, of_border.as_slice(), &back.as_slice()[these], [size, size, count]);
+            add_product(&mut all.as_mut_slice()[own], follow.as_slice(), &of_these, [k, size, count]);
         }
         for (i, row) in out.chunks_exact_mut(k).enumerate() {
             row.iter_mut().enumerate().for_each(|(j, o)| *o = all[(i, j)]);

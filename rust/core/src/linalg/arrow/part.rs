@@ -13,7 +13,7 @@ pub(super) struct Part {
     pub states: Vec<usize>,
     /// Places among the [dynamic border](super::shape::Shape::dynamic) of what enters their equations.
     pub dynamic: Vec<usize>,
-    /// Length of a row of sensitivities to (first states of a group, dynamic border) of the part, padded.
+    /// Length of a row of sensitivities to (initial states of a group, dynamic border) of the part, padded.
     pub width: usize,
     /// The first of these columns in a row of all parts.
     pub first: usize,

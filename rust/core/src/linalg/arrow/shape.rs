@@ -129,7 +129,7 @@ impl Shape {
     }
 
     /// Returns for each column of a row of all parts its variable in a form's order without the end of the group:
-    /// first states, then the dynamic border. Padding has none.
+    /// initial states, then the dynamic border. Padding has none.
     pub fn columns(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         self.parts.iter().flat_map(|part| {
             let dynamic = part.dynamic.iter().map(|d| self.n + d);

@@ -353,7 +353,7 @@ impl Top {
         }
     }
 
-    /// Returns the derivatives of the first states of the chain by the border (n × `columns`), and their inverse
+    /// Returns the derivatives of the initial states of the chain by the border (n × `columns`), and their inverse
     /// curvature with that held (n × n).
     pub fn first_states(&self, shape: &Shape, columns: usize) -> (DMatrix<f64>, DMatrix<f64>) {
         let (n, b, free) = (shape.n, shape.border + self.deferred, shape.n - self.k);

@@ -5,7 +5,7 @@
 //!            sparse LU of Aᵀ    A Z = 0, dense    small, dense   Cholesky, or eigenvalues
 //! ```
 //!
-//! An ordinary differential equation leaves little to choose: parameters and first states. So the null
+//! An ordinary differential equation leaves little to choose: parameters and initial states. So the null
 //! space of A has few dimensions, k = n − m, and everything that matters happens there. The basis needs
 //! A alone; row exchanges keep it stable, whatever the system does. The reduced Hessian is formed
 //! explicitly: its inertia *is* the answer, without a count of pivots of the whole, in which zeros

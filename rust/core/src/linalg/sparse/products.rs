@@ -1,10 +1,8 @@
 //! ZᵀHZ and Zᵀ D Z, put together.
 
-use faer::linalg::matmul::triangular::{self, BlockStructure};
-use faer::{Accum, MatMut, MatRef, Par};
-
 use super::basis::{Basis, axpy};
 use super::rows::Rows;
+use crate::dense::large;
 use crate::simd::kernel;
 
 /// Rows of Z that are multiplied at once.
@@ -104,12 +102,7 @@ fn multiply(to: &mut [f64], k: usize, stride: usize, panels: &(Vec<f64>, Vec<f64
     if rows == 0 || k == 0 {
         return;
     }
-    let a = MatRef::from_row_major_slice_with_stride(&panels.0[..rows * stride], rows, k, stride);
-    let b = MatRef::from_row_major_slice_with_stride(&panels.1[..rows * stride], rows, k, stride);
-    let to = MatMut::from_column_major_slice_with_stride_mut(to, k, k, stride);
-    let full = BlockStructure::Rectangular;
-    let lower = BlockStructure::TriangularLower;
-    triangular::matmul(to, lower, Accum::Add, a.transpose(), full, b, full, 1.0, Par::Seq);
+    large::add_lower_product(to, &panels.0, &panels.1, [k, stride, rows]);
 }
 
 kernel! {

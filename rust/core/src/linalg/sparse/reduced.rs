@@ -1,17 +1,10 @@
 //! The reduced Hessian ZᵀHZ: its inertia, its weak directions, its solutions.
 
-use faer::diag::DiagMut;
-use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
-use faer::linalg::cholesky::llt;
-use faer::linalg::evd::{self, ComputeEigenvectors};
-use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
-use faer::prelude::{ReborrowMut, default};
-use faer::{MatMut, MatRef, Par};
-
 use super::basis::Basis;
 use super::holding::Holding;
 use super::products::Products;
 use super::rows::Rows;
+use crate::dense::large::{self, Workspace};
 use crate::linalg::Curvature;
 
 /// Eigenvalues of the reduced Hessian, its columns scaled to 1, of this size or less are zero.
@@ -38,49 +31,19 @@ pub(super) struct Reduced {
     values: Vec<f64>,
     by_eigenvalues: bool,
     side: Vec<f64>,
-    scratch: Scratch,
-}
-
-/// Memory for Cholesky's factorisation and for eigenvalues.
-#[derive(Default)]
-struct Scratch {
-    size: usize,
-    memory: Option<MemBuffer>,
-}
-
-impl Scratch {
-    fn reserve(&mut self, k: usize) {
-        let k = k.max(1);
-        if self.size < k {
-            let eigenvectors = ComputeEigenvectors::Yes;
-            let cholesky = llt::factor::cholesky_in_place_scratch::<f64>(k, Par::Seq, default());
-            let eigen = evd::self_adjoint_evd_scratch::<f64>(k, eigenvectors, Par::Seq, default());
-            self.memory = Some(MemBuffer::new(StackReq::any_of(&[cholesky, eigen])));
-            self.size = k;
-        }
-    }
-
-    fn stack(&mut self) -> &mut MemStack {
-        MemStack::new(self.memory.as_mut().expect("reserved by assemble"))
-    }
-}
-
-impl std::fmt::Debug for Scratch {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Scratch").field("size", &self.size).finish_non_exhaustive()
-    }
+    workspace: Workspace,
 }
 
 impl Reduced {
     /// Counted floating-point operations of the last [`Reduced::assemble`], and of a factorisation.
     pub fn operations(&self) -> u64 {
-        self.products.operations() + (self.scratch.size as u64).pow(3) / 3
+        self.products.operations() + (self.workspace.size() as u64).pow(3) / 3
     }
 
     /// Forms ZᵀHZ.
     pub fn assemble(&mut self, h: &Rows, basis: &Basis) {
         self.products.assemble(h, basis);
-        self.scratch.reserve(basis.free().len());
+        self.workspace.reserve(basis.free().len());
     }
 
     /// Factorises with some variables held and `shift` times the diagonal `d` added to H.
@@ -148,17 +111,11 @@ impl Reduced {
         if !self.factor.iter().all(|x| x.is_finite()) {
             return self.unknown();
         }
-        let matrix = MatMut::from_column_major_slice_mut(&mut self.factor, k, k);
-        let stack = self.scratch.stack();
-        let positive = llt::factor::cholesky_in_place(matrix, default(), Par::Seq, stack, default()).is_ok();
+        let positive = self.workspace.factorise(&mut self.factor, k);
         if positive && (0..k).all(|i| self.factor[i * k + i].powi(2) > CLEAR) {
             return Curvature::default();
         }
-        let matrix = MatRef::from_column_major_slice(&self.copy, k, k);
-        let vectors = MatMut::from_column_major_slice_mut(&mut self.factor, k, k);
-        let values = DiagMut::from_slice_mut(&mut self.values);
-        let stack = self.scratch.stack();
-        if evd::self_adjoint_evd(matrix, values, Some(vectors), Par::Seq, stack, default()).is_err() {
+        if !self.workspace.eigen(&self.copy, &mut self.values, &mut self.factor, k) {
             return self.unknown();
         }
         self.by_eigenvalues = true;
@@ -231,11 +188,7 @@ impl Reduced {
                 }
             }
         } else {
-            let k = u.len();
-            let factor = MatRef::from_column_major_slice(&self.factor[..k * k], k, k);
-            let mut right = MatMut::from_column_major_slice_mut(u, k, 1);
-            solve_lower_triangular_in_place(factor, right.rb_mut(), Par::Seq);
-            solve_upper_triangular_in_place(factor.transpose(), right, Par::Seq);
+            large::solve(&self.factor, u.len(), u);
         }
         for (value, row) in first.iter_mut().zip(rows()) {
             *value -= row[held..].iter().zip(&*u).map(|(m, u)| m * u).sum::<f64>();

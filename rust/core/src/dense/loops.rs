@@ -1,23 +1,6 @@
-//! Dense matrices in slices, row by row: products, orthogonal elimination, Cholesky's factorisation and its solutions.
-//!
-//! Most are small, the states of a point or the parameters of a model, and there are many. Up to 8 rows a factorisation by loops
-//! takes two thirds to all of the time that faer needs, and no memory. From [`LARGE`] rows on faer takes half the time, and a tenth
-//! for 512 (`benches/dense.rs`). Solutions by faer take half to all of the time of the loops, which are kept for small matrices since
-//! they need no change of layout.
+//! Loops over small dense matrices.
 
-use std::cell::RefCell;
-
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::linalg::cholesky::llt::factor::{LltError, cholesky_in_place, cholesky_in_place_scratch};
-use faer::linalg::matmul::matmul;
-use faer::prelude::{ReborrowMut, default};
-use faer::{Accum, MatMut, MatRef, Par};
-
-use crate::interrupt::current;
 use crate::simd::kernel;
-
-/// Rows from which a matrix is factorised by faer.
-const LARGE: usize = 24;
 
 /// Σ a·b over rows of any length, in a fixed order. Outside of kernels a fused product would be a call.
 #[inline]
@@ -73,16 +56,7 @@ pub fn triangularise(a: &mut [f64], rows: usize, columns: usize, k: usize, q: Op
     }
 }
 
-/// Cholesky's factor L of a symmetric matrix, in its lower triangle; the index at which a pivot falls to the least that is
-/// allowed for this diagonal entry, or below, or at which the interrupt in force stops it.
-pub fn cholesky(a: &mut [f64], n: usize, least: impl Fn(f64) -> f64) -> Result<(), usize> {
-    if n >= LARGE {
-        return if current().stops() { Err(0) } else { by_faer(a, n, least) };
-    }
-    by_loops(a, n, least)
-}
-
-/// As [`cholesky`], in loops of its own whatever the size.
+/// As [`cholesky`](super::cholesky), by loops whatever the size.
 pub fn by_loops(a: &mut [f64], n: usize, least: impl Fn(f64) -> f64) -> Result<(), usize> {
     for j in 0..n {
         let (above, rest) = a.split_at_mut(j * n);
@@ -103,53 +77,6 @@ pub fn by_loops(a: &mut [f64], n: usize, least: impl Fn(f64) -> f64) -> Result<(
 /// The least pivot that is more than rounding leaves of a diagonal entry.
 pub fn rounding(diagonal: f64) -> f64 {
     1e-15 * diagonal.abs()
-}
-
-/// The memory that faer needs, kept by each thread: to factorise again allocates nothing.
-#[derive(Default)]
-struct Scratch {
-    columns: Vec<f64>,
-    diagonal: Vec<f64>,
-    size: usize,
-    memory: Option<MemBuffer>,
-}
-
-thread_local! {
-    static SCRATCH: RefCell<Scratch> = RefCell::default();
-}
-
-fn by_faer(a: &mut [f64], n: usize, least: impl Fn(f64) -> f64) -> Result<(), usize> {
-    SCRATCH.with_borrow_mut(|scratch| {
-        if scratch.size < n {
-            let needed = cholesky_in_place_scratch::<f64>(n, Par::Seq, default());
-            (scratch.memory, scratch.size) = (Some(MemBuffer::new(needed)), n);
-        }
-        let Scratch { columns, diagonal, memory, .. } = scratch;
-        let stack = MemStack::new(memory.as_mut().expect("just made"));
-        // faer reads the lower triangle by columns.
-        columns.clear();
-        columns.resize(n * n, 0.0);
-        let mut matrix = MatMut::from_column_major_slice_mut(columns, n, n);
-        matrix.copy_from_triangular_lower(MatRef::from_row_major_slice(&a[..n * n], n, n));
-        diagonal.clear();
-        diagonal.extend((0..n).map(|i| a[i * n + i]));
-        let done = cholesky_in_place(matrix.rb_mut(), default(), Par::Seq, stack, default());
-        let reached = match done {
-            Ok(_) => n,
-            Err(LltError::NonPositivePivot { index }) => index,
-        };
-        // The first small pivot, where the factor is defined.
-        let small = |i: &usize| {
-            let pivot = columns[i * n + i].powi(2);
-            pivot.is_nan() || pivot <= least(diagonal[*i])
-        };
-        if let Some(i) = (0..reached).find(small).or((reached < n).then_some(reached)) {
-            return Err(i);
-        }
-        let factor = MatRef::from_column_major_slice(columns, n, n);
-        MatMut::from_row_major_slice_mut(&mut a[..n * n], n, n).copy_from_triangular_lower(factor);
-        Ok(())
-    })
 }
 
 /// Solves L x = b in place.
@@ -193,12 +120,6 @@ pub fn add_transposed_product(out: &mut [f64], a: &[f64], b: &[f64], [m, k, n]: 
             }
         }
     }
-}
-
-/// Adds the product of two large matrices, a (m, k) and b (k, n), to a third (m, n). Unlike the others, these stand column by column.
-pub fn add_large_product(out: &mut [f64], a: &[f64], b: &[f64], [m, k, n]: [usize; 3]) {
-    let (a, b) = (MatRef::from_column_major_slice(a, m, k), MatRef::from_column_major_slice(b, k, n));
-    matmul(MatMut::from_column_major_slice_mut(out, m, n), Accum::Add, a, b, 1.0, Par::Seq);
 }
 
 /// out = a bᵀ, with a (m, k) and b (n, k).

@@ -85,19 +85,22 @@ def further(problem, starts, seed):
     return [*starts, *(s for i in range(1, BATCHES) for s in problem.starts(len(starts), seed=seed + 1000 * i))]
 
 
-def measured(folder, problem, options, kept):
-    """Return the ends of all programs on a problem, those that are kept already as they are."""
+def measured(folder, problem, options, kept, save):
+    """Return the ends of all programs on a problem, those that are kept already as they are; saves after each."""
     starts = problem.starts(options.starts, seed=options.seed)
     if "phugoid" not in kept:
         kept["phugoid"] = list(ours(problem, starts, options.limit))
+        save()
     seconds = sum(end["cpu"] for end in kept["phugoid"])
     more = further(problem, starts, options.seed)
     if options.peer and "pyPESTO" not in kept:
         path = folder / f"{folder.name}.yaml"
         kept["pyPESTO"], about = pypesto(options.peer, path, more, seconds, options.limit)
         print(f"{folder.name}: pyPESTO {about}", flush=True)
+        save()
     if not options.no_scipy and "scipy" not in kept:
         kept["scipy"] = list(petab_shooting.run(problem, more, seconds, options.limit))
+        save()
     return kept
 
 
@@ -133,6 +136,11 @@ def main():
     options = parser.parse_args()
     kept = json.loads(options.results.read_text()) if options.results and options.results.exists() else {}
     rows, ends = [], {}
+
+    def save():
+        if options.results:
+            options.results.write_text(json.dumps(kept))
+
     for folder in sorted(p for p in options.folder.iterdir() if (p / f"{p.name}.yaml").exists()):
         if options.only and not any(folder.name.startswith(n) for n in options.only):
             continue
@@ -143,9 +151,7 @@ def main():
             print(f"{folder.name}: {error}", flush=True)
             continue
         name = folder.name.split("_")[0]
-        ends[name] = nominal, measured(folder, problem, options, kept.setdefault(folder.name, {}))
-        if options.results:
-            options.results.write_text(json.dumps(kept))
+        ends[name] = nominal, measured(folder, problem, options, kept.setdefault(folder.name, {}), save)
         for row in rows_of(name, problem, *ends[name]):
             rows.append(row)
             print("  ".join(row), flush=True)

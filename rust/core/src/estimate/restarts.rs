@@ -14,8 +14,7 @@ use crate::simulate::Method;
 use crate::solver::Status;
 
 /// Restarts in a row that bring no more than this in log-likelihood, before two for each parameter are added; fewer where so many
-/// in a row end at the same optimum, which then is hardly one of many. These are more by two for each parameter of which the data
-/// say nothing there: a part of the model that has no influence makes an optimum wide, and restarts return to it for that alone.
+/// in a row end at the same optimum, which then is hardly one of many.
 const RESTARTS: usize = 20;
 const RETURNS: usize = 8;
 const GAIN: f64 = 1e-3;
@@ -30,10 +29,10 @@ impl Estimation<'_> {
     ///
     /// It is an iterated local search (Lourenço, Martin and Stützle 2003): a restart begins at the best end so far, with some
     /// of the parameters drawn anew. It ends after so many restarts in a row without a gain: by default twenty, and two for
-    /// each parameter, or eight that all return to the best end, and two for each parameter of which the data say nothing there.
-    /// Where the model cannot be simulated at the starting values, parameters are sought where it can. Where the best end leaves most of a densely sampled output unexplained, a path of
-    /// estimates with output injection is tried once, and restarts go on from its end. None where there are no parameters at which the
-    /// model can be simulated.
+    /// each parameter, or fewer that all return to the best end ([`Self::enough_returns`]). Where the model cannot be
+    /// simulated at the starting values, parameters are sought where it can. Where the best end leaves most of a densely
+    /// sampled output unexplained, a path of estimates with output injection is tried once, and restarts go on from its end.
+    /// None where there are no parameters at which the model can be simulated.
     pub(super) fn search_restarts(&self, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
         let parameters = &self.model.parameters;
         let values: Values = parameters.iter().map(|p| p.name.clone()).zip(self.parameters()?).collect();
@@ -42,8 +41,7 @@ impl Estimation<'_> {
         let Some(mut search) = self.search_from(&values, restarts > 0, watch)? else { return Ok(None) };
         let mut injection = if restarts > 0 { self.injection() } else { None };
         loop {
-            let wide = 2 * self.count_undetermined(&search.fit);
-            let enough = if self.restarts.is_none() { RETURNS + wide } else { usize::MAX };
+            let enough = self.enough_returns(&search.fit);
             let goes_on = search.without < restarts && search.returns < enough;
             if search.is_stopped() || !goes_on && injection.is_none() {
                 break;
@@ -129,7 +127,10 @@ impl Estimation<'_> {
         let accuracy = self.accuracy();
         let fit = &search.fit;
         let at = search.best();
-        let undetermined = |name: &str| is_undetermined(fit, name);
+        // Of which the data say nothing at this end, or no more than how large they are.
+        let undetermined = |name: &str| {
+            fit.parameter(name).is_some_and(|e| e.std_error.is_nan() || e.std_error >= e.value.abs())
+        };
         let mut others = at.clone();
         for _ in 0..DRAWS {
             others = search.draws.others(search.without, &at, &undetermined);
@@ -162,9 +163,13 @@ impl Estimation<'_> {
         Ok(())
     }
 
-    fn count_undetermined(&self, fit: &Fit) -> usize {
-        let free = self.model.parameters.iter().filter(|p| !p.fixed && !p.local);
-        free.filter(|p| is_undetermined(fit, &p.name)).count()
+    /// Returns how many restarts in a row that return to this end finish a search. Where the model matches an output worse
+    /// than a constant, no number does: a part of the model that has no influence there makes the optimum wide, and restarts
+    /// return for that alone.
+    fn enough_returns(&self, fit: &Fit) -> usize {
+        let unexplained = |c: usize| fit.r_squared(c).is_some_and(|r| r < 0.0);
+        let any = (0..self.model.outputs.len()).any(unexplained);
+        if self.restarts.is_some() || any { usize::MAX } else { RETURNS }
     }
 
     fn accuracy(&self) -> Accuracy {
@@ -196,9 +201,4 @@ impl Estimation<'_> {
         };
         integrated.ok().filter(|l| l.is_finite()).unwrap_or(f64::NEG_INFINITY)
     }
-}
-
-/// Whether the data say nothing of a parameter at the end of a run, or no more than how large it is.
-fn is_undetermined(fit: &Fit, name: &str) -> bool {
-    fit.parameter(name).is_some_and(|e| e.std_error.is_nan() || e.std_error >= e.value.abs())
 }

@@ -4,6 +4,7 @@ Residuals are e/σ and √(2 ln σ + C), whose squares sum up to the likelihood 
 The steps are those of `scipy.optimize.least_squares` (trust region, reflective at bounds), its derivatives differences.
 """
 
+import contextlib
 import time
 import warnings
 from itertools import pairwise
@@ -87,23 +88,43 @@ class SingleShooting:
         found = np.concatenate(found)
         return np.where(np.isfinite(found), found, NONE)
 
-    def minimise(self, start):
-        """Return the negative log-likelihood where a start ends; NaN where it cannot be simulated."""
+    def value(self, values):
+        """Return the negative log-likelihood at parameters by name; NaN where it cannot be simulated."""
+        residuals = self.residuals(self.scaled(np.array([values[n] for n in self.declared])))
+        if (residuals == NONE).any():
+            return np.nan
+        return 0.5 * (residuals @ residuals) - 0.25 * SHIFT * residuals.size - self.problem.constant
+
+    def minimise(self, start, limit):
+        """Return negative log-likelihood and parameters where a start ends; NaN where it cannot be simulated."""
         z = np.clip(self.scaled(np.array([start[n] for n in self.declared])), *self.bounds)
         if (self.residuals(z) == NONE).any():
-            return np.nan
-        with warnings.catch_warnings():
+            return np.nan, None
+        until, best = time.process_time() + limit, [np.inf, z]
+
+        def residuals(z):
+            if time.process_time() > until:
+                raise TooLong
+            r = self.residuals(z)
+            cost = 0.5 * (r @ r)
+            if cost < best[0]:
+                best[:] = cost, z.copy()
+            return r
+
+        with warnings.catch_warnings(), contextlib.suppress(TooLong):
             warnings.simplefilter("ignore")
-            found = least_squares(self.residuals, z, bounds=self.bounds, x_scale=1.0, max_nfev=200)
-        return found.cost - 0.25 * SHIFT * found.fun.size - self.problem.constant
+            least_squares(residuals, z, bounds=self.bounds, x_scale=1.0, max_nfev=200)
+        found = dict(zip(self.declared, self.values(best[1]).tolist(), strict=True))
+        return self.value(found), found
 
 
-def run(problem, starts, seconds):
-    """Yield negative log-likelihood and processor time of each start, until the time is used."""
+def run(problem, starts, seconds, limit):
+    """Yield the end of each start, until the time is used."""
     shooting = SingleShooting(problem)
     began = time.process_time()
     for start in starts:
         before = time.process_time()
-        yield float(shooting.minimise(start)), time.process_time() - before
+        value, found = shooting.minimise(start, min(limit, seconds - (before - began)))
+        yield {"value": float(value), "cpu": time.process_time() - before, "at": found}
         if time.process_time() - began > seconds:
             return

@@ -37,7 +37,8 @@ class Newton:
     ``restarts``: where there are few samples and the parameters determine all initial states, the estimation is
     repeated from the best optimum so far with some of the parameters drawn within their bounds, until so many restarts
     in succession have brought no gain. None: twenty, and two for each parameter, or eight in succession that end at the
-    same optimum. 0: none; the optimum is that next to the start.
+    same optimum; the latter do not count where the model matches an output worse than a constant does. 0: none; the
+    optimum is that next to the start.
     ``time_limit`` in seconds, for the whole estimation; the best point so far is the result.
     """
 

@@ -8,8 +8,9 @@
 //! model as it is (Abarbanel, Creveling, Farsian and Kostuk 2009; Vyasarayani, Uchida, Carvalho and McPhee 2011).
 
 use super::Estimation;
+use super::accuracy::SEARCH;
 use super::fit::Fit;
-use super::motion::{SEARCH, Values};
+use super::motion::Values;
 use super::run::Watch;
 use super::search::Search;
 use crate::error::Error;

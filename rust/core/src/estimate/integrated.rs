@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use super::accuracy::FINEST;
 use super::fit::Fit;
-use super::motion::FINEST;
 use super::print::short;
 use super::run::Watch;
 use super::{Estimation, Transcription};

@@ -1,5 +1,6 @@
 //! From a model and records to a fit: the problem put together, solved, and told in the user's names.
 
+mod accuracy;
 mod delays;
 mod draws;
 mod earlier;
@@ -10,6 +11,7 @@ mod integration;
 mod judge;
 mod make;
 mod motion;
+mod moving_mesh;
 mod noise;
 mod outside;
 mod print;

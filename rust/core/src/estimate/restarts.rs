@@ -1,10 +1,11 @@
 //! Restarts from other parameters: where samples are few, the likelihood has many maxima.
 
 use super::Estimation;
+use super::accuracy::{Accuracy, FINAL, SEARCH};
 use super::draws::Draws;
 use super::fit::Fit;
 use super::injection::Injection;
-use super::motion::{Accuracy, FAR, FINAL, SEARCH, Values};
+use super::motion::{FAR, Values};
 use super::run::Watch;
 use super::search::Search;
 use crate::error::Error;
@@ -28,9 +29,10 @@ impl Estimation<'_> {
     ///
     /// It is an iterated local search (Lourenço, Martin and Stützle 2003): a restart begins at the best end so far, with some
     /// of the parameters drawn anew. It ends after so many restarts in a row without a gain: by default twenty, and two for
-    /// each parameter, or eight that all return to the best end. Where the model cannot be simulated at the starting values,
-    /// parameters are sought where it can. Where the best end leaves most of a densely sampled output unexplained, a path of
-    /// estimates with output injection is tried once, and restarts go on from its end. None where there are no parameters at which the model can be simulated.
+    /// each parameter, or fewer that all return to the best end ([`Self::enough_returns`]). Where the model cannot be
+    /// simulated at the starting values, parameters are sought where it can. Where the best end leaves most of a densely
+    /// sampled output unexplained, a path of estimates with output injection is tried once, and restarts go on from its end.
+    /// None where there are no parameters at which the model can be simulated.
     pub(super) fn search_restarts(&self, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
         let parameters = &self.model.parameters;
         let values: Values = parameters.iter().map(|p| p.name.clone()).zip(self.parameters()?).collect();
@@ -38,8 +40,8 @@ impl Estimation<'_> {
         let restarts = if any && !self.goes_on() { self.most_restarts() } else { 0 };
         let Some(mut search) = self.search_from(&values, restarts > 0, watch)? else { return Ok(None) };
         let mut injection = if restarts > 0 { self.injection() } else { None };
-        let enough = if self.restarts.is_none() { RETURNS } else { usize::MAX };
         loop {
+            let enough = self.enough_returns(&search.fit);
             let goes_on = search.without < restarts && search.returns < enough;
             if search.is_stopped() || !goes_on && injection.is_none() {
                 break;
@@ -159,6 +161,15 @@ impl Estimation<'_> {
             search.returns = if same { before + 1 } else { 0 };
         }
         Ok(())
+    }
+
+    /// Returns how many restarts in a row that return to this end finish a search. Where the model matches an output worse
+    /// than a constant, no number does: a part of the model that has no influence there makes the optimum wide, and restarts
+    /// return for that alone.
+    fn enough_returns(&self, fit: &Fit) -> usize {
+        let unexplained = |c: usize| fit.r_squared(c).is_some_and(|r| r < 0.0);
+        let any = (0..self.model.outputs.len()).any(unexplained);
+        if self.restarts.is_some() || any { usize::MAX } else { RETURNS }
     }
 
     fn accuracy(&self) -> Accuracy {

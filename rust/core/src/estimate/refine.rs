@@ -147,13 +147,15 @@ impl Estimation<'_> {
     /// Compared are fits that converged on a mesh of the usual order as it was given, and whose path shows that it may be so.
     pub(super) fn compare_with_halves(&self, fit: &mut Fit) -> Result<(), Error> {
         let few = self.solver.max_iterations < Solving::default().max_iterations;
-        let plain = self.transcription.is_collocation() && self.model.delays.is_empty() && self.own_solver.is_none();
+        let plain =
+            self.transcription.is_collocation() && self.model.delays.is_empty() && self.own_solver.is_none();
         let done = fit.refinement.is_some() || fit.smoothing.is_some() || !fit.warnings.is_empty();
         let order = order_of(fit);
         if few || !plain || done || order == 2 || fit.status != Status::Converged || current().stops() {
             return Ok(());
         }
-        if !fit.may_accumulate_error(self.experiments) || self.smooths() && fit.kinks_matter(self.experiments) {
+        if !fit.may_accumulate_error(self.experiments) || self.smooths() && fit.kinks_matter(self.experiments)
+        {
             return Ok(());
         }
         let halves = |record: &Record| {
@@ -164,7 +166,8 @@ impl Estimation<'_> {
         let solver = Solving { max_iterations: ITERATIONS, ..self.solver.clone() };
         let finer = Estimation { solver, ..self.on_grid(order, grid).going_on_from(fit) };
         let finer = finer.solve_on_mesh(&mut |_| Control::Continue)?;
-        if finer.status == Status::Converged && (finer.log_likelihood - fit.log_likelihood).abs() > DIFFERENT {
+        if finer.status == Status::Converged && (finer.log_likelihood - fit.log_likelihood).abs() > DIFFERENT
+        {
             fit.warnings.push(format!(
                 "the mesh is coarse: with segments half as long the log-likelihood is {}, and not {}, for errors of the integration \
                  add up along the records: refinement (Collocation(refine=True), Estimation::refine) divides the mesh as needed",

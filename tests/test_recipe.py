@@ -23,7 +23,7 @@ def test_versions_are_one() -> None:
     (version,) = re.findall(r'^version = "(.*)"', CARGO, flags=re.M)
     assert re.findall(r'set version = "(.*)"', RECIPE) == [version]
     assert re.findall(r"^version: (.*)", CITATION, flags=re.M) == [version]
-    assert re.findall(r'^phugoid = .*version = "(.*)"', CARGO, flags=re.M) == [version]
+    assert re.findall(r'^phugoid = .*version = "([^"]*)"', CARGO, flags=re.M) == [version]
 
 
 def test_what_is_needed_is_the_same() -> None:

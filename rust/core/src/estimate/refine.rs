@@ -32,6 +32,7 @@ const GRADES: i32 = 3;
 /// log-likelihoods that differ by more are reported.
 const ITERATIONS: usize = 20;
 const DIFFERENT: f64 = 1.0;
+const UNKNOWNS: usize = 100_000;
 /// Times closer than this part of a segment are the same.
 const SAME: f64 = 1e-6;
 const UNKNOWN: &str = "converged on this mesh, but there was no time left to see whether it is fine enough; allow more \
@@ -154,7 +155,12 @@ impl Estimation<'_> {
         if few || !plain || done || order == 2 || fit.status != Status::Converged || current().stops() {
             return Ok(());
         }
-        if !fit.may_accumulate_error(self.experiments) || self.smooths() && fit.kinks_matter(self.experiments)
+        // Who fits so much has no memory for twice as much.
+        let unknowns: usize =
+            fit.records.iter().map(|r| r.mesh_t.len()).sum::<usize>() * self.model.states.len();
+        if unknowns > UNKNOWNS
+            || !fit.may_accumulate_error(self.experiments)
+            || self.smooths() && fit.kinks_matter(self.experiments)
         {
             return Ok(());
         }

@@ -206,9 +206,7 @@ def words(record: ph.results.Record) -> str:
 def main() -> None:
     """Estimates, validates, shows where the model fails and what mends it, and writes the figures."""
     parser = argparse.ArgumentParser(description="F-16 ground vibration test")
-    parser.add_argument(
-        "--diagnose", action="store_true", help="search for what is missing, too (many minutes)"
-    )
+    parser.add_argument("--diagnose", action="store_true", help="search for what is missing, too (many minutes)")
     asked = parser.parse_args()
     run = recorded()
     if run is None:

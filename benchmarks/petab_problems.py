@@ -104,9 +104,14 @@ def measured(folder, problem, options, kept, save):
     return kept
 
 
+def best_known(nominal, found):
+    """Return the best value of the nominal point and all ends."""
+    return min([nominal, *(end["value"] for ends in found.values() for end in ends if math.isfinite(end["value"]))])
+
+
 def rows_of(name, problem, nominal, found):
     """Return the rows of a problem: shares, times, and the best ends by another integrator."""
-    best = min([nominal, *(end["value"] for ends in found.values() for end in ends if math.isfinite(end["value"]))])
+    best = best_known(nominal, found)
     shooting = petab_shooting.SingleShooting(problem)
     for program, ends in found.items():
         cpu = sum(end["cpu"] for end in ends)
@@ -172,9 +177,9 @@ def figure(ends, path):
 
     fig, axes = plt.subplots(1, len(ends), figsize=(2.6 * len(ends), 3.0), squeeze=False, constrained_layout=True)
     for axis, (name, (nominal, found)) in zip(axes[0], ends.items(), strict=True):
-        values = {program: np.array([end["value"] for end in runs]) for program, runs in found.items()}
-        best = min([nominal, *(v for each in values.values() for v in each if math.isfinite(v))])
-        for program, each in values.items():
+        best = best_known(nominal, found)
+        for program, runs in found.items():
+            each = np.array([end["value"] for end in runs])
             gaps = np.sort(each[np.isfinite(each)] - best)
             share = np.arange(1, gaps.size + 1) / max(each.size, 1)
             axis.plot(share, np.maximum(gaps, 1e-4), "o-", ms=3, lw=0.8, label=program)

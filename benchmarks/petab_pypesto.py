@@ -25,7 +25,7 @@ class Spent(Exception):
 
 
 class Clock:
-    """What cuts a start: the objective raises when its time is used. Keeps the best point."""
+    """Cuts a start, whose objective raises when its time is used, and keeps the best point."""
 
     until = float("inf")
     best = (float("inf"), None)
@@ -58,7 +58,7 @@ def on_amici(flat, name):
 
 
 def on_roadrunner(flat):
-    """The same by RoadRunner: gradients by differences, Hessian by BFGS."""
+    """Return the same by RoadRunner: gradients by differences, Hessian by BFGS."""
     import fides
     import pypesto.objective
     import roadrunner

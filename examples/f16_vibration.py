@@ -165,12 +165,17 @@ def softening(fit: ph.Fit, run: ph.Experiment, terms: tuple[str, ...]) -> ph.Fit
     return ph.estimate(model, run, start=fit, transcription=ph.Collocation(order=4))
 
 
-def diagnose(run: ph.Experiment) -> ph.results.Diagnosis:
-    """What `ph.diagnose` says of two periods, validated on a third: of the six modes in the band, 2,760 candidates."""
+def diagnosed(run: ph.Experiment) -> tuple[ph.Model, ph.Experiment, ph.Experiment]:
+    """Return a model of the six modes in the band, two periods to fit it to, and a third for its validation."""
     two = periods(run, 1, 3)
     begin = ph.linear.subspace(two, 12, offset=False, stable=True)
-    fit = ph.estimate(ph.models.modal(start=begin, feedthrough=True, stable=True), two)
-    return ph.diagnose(fit, validation=periods(run, 5, 6))
+    return ph.models.modal(start=begin, feedthrough=True, stable=True), two, periods(run, 5, 6)
+
+
+def diagnose(run: ph.Experiment) -> ph.results.Diagnosis:
+    """Diagnose two periods, validated on a third: 2,760 candidates."""
+    model, two, third = diagnosed(run)
+    return ph.diagnose(ph.estimate(model, two), validation=third)
 
 
 def table(rows: Mapping[str, tuple[ph.results.Validation, ph.results.Validation]]) -> str:

@@ -352,23 +352,27 @@ class Search:
                 return at
             at = following
 
+    def _without(self, at: Refit, candidate: Candidate) -> Refit | None:
+        """Return the refit without a candidate."""
+        return self.cache.refit([c for c in at.candidates if c is not candidate], at.fit)
+
     def _is_chance(self, at: Refit, candidate: Candidate) -> bool:
         """Tell whether a term, beside the others, gains no more in likelihood than chance gives."""
-        without = self.cache.refit([c for c in at.candidates if c is not candidate], at.fit)
+        without = self._without(at, candidate)
         return without is not None and self.assessment.gain(without, at) <= self.assessment.needed(at, candidate)
 
     def _wanders(self, at: Refit, candidate: Candidate) -> bool:
         """Tell whether a term of this record alone, beside the others, is no likelier than sensors that wander."""
         if candidate.transferable:
             return False
-        without = self.cache.refit([c for c in at.candidates if c is not candidate], at.fit)
+        without = self._without(at, candidate)
         return without is not None and self.assessment.wanders(without, at, candidate)
 
     def shared(self, at: Refit) -> Refit:
         """Return the refit without disturbances and drifts with which, as they were fitted, the simulation of the
         validation records is no better: they are of the records of the fit alone, and no part of a model for others."""
         for c in [c for c in at.candidates if not c.transferable] if self.cache.validation else []:
-            without = self.cache.refit([other for other in at.candidates if other is not c], at.fit)
+            without = self._without(at, c)
             if without is None:
                 continue
             before, after = self.assessment.held_out_rms(without), self.assessment.held_out_rms(at)

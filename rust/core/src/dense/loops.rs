@@ -56,7 +56,7 @@ pub fn triangularise(a: &mut [f64], rows: usize, columns: usize, k: usize, q: Op
     }
 }
 
-/// As [`cholesky`](super::cholesky), by loops whatever the size.
+/// Does what [`cholesky`](super::cholesky) does, by loops whatever the size.
 pub fn by_loops(a: &mut [f64], n: usize, least: impl Fn(f64) -> f64) -> Result<(), usize> {
     for j in 0..n {
         let (above, rest) = a.split_at_mut(j * n);

@@ -57,7 +57,7 @@ impl IntegrationError {
     }
 }
 
-/// What polynomials neglect of a path, in units of the noise.
+/// Holds what polynomials neglect of a path, in units of the noise.
 #[derive(Clone, Copy, Debug, Default)]
 struct Neglected {
     largest: f64,
@@ -179,7 +179,7 @@ impl CollocatedPath<'_> {
                 let size =
                     |row: &[f64]| (row.iter().zip(points).map(|(w, x)| w * x).sum::<f64>() / scale).abs();
                 let (before, last) = (size(&before), size(&last));
-                if last == 0.0 { 0.0 } else { last * last.min(before) / before }
+                if before == 0.0 { 0.0 } else { last * last.min(before) / before }
             };
             let (mut largest, mut sum) = (0.0, 0.0);
             let mut add = |e: f64| (largest, sum) = (f64::max(largest, e), sum + e);

@@ -5,7 +5,7 @@ use std::time::Duration;
 use super::accuracy::Accuracy;
 use super::fit::Fit;
 use super::motion::{FAR, SUITS, Simulated, Values, fixed_times};
-use super::refine::{in_parts, order_of};
+use super::refine::{halved, order_of};
 use super::run::Watch;
 use super::{Estimation, Path, Record};
 use crate::error::{Error, ErrorKind};
@@ -21,7 +21,7 @@ const MOVES: usize = 8;
 const FINER: f64 = 16.0;
 /// Limits the local error from below.
 const LEAST: f64 = 1e-9;
-/// How often a mesh is divided, at most, where the model cannot be simulated with what it led to.
+/// Limits how often a mesh is divided where the model cannot be simulated with what it led to.
 const DIVISIONS: usize = 3;
 /// On one mesh after another, a run ends where a mesh brings less than this in log-likelihood; in the last run, the mesh then
 /// stays.
@@ -35,8 +35,8 @@ const RATE: f64 = 0.1;
 impl Estimation<'_> {
     /// Estimates on meshes that follow the motion: segments along a simulation with the parameters as they are.
     ///
-    /// With few samples these say nothing of where a mesh must be fine, and a path that starts as a solution of the
-    /// equations can be kept one. Where a mesh leads away from solutions, or to a lower likelihood, the run goes on from the
+    /// Few samples say nothing of where a mesh must be fine, and a path that starts as a solution of the equations can be
+    /// kept one. Where a mesh leads away from solutions, or to a lower likelihood, the run goes on from the
     /// best end so far on a finer one. A run that is behind the `best` log-likelihood and does not gain on it from one mesh to
     /// the next ends early. None where the model cannot be simulated at the starting parameters, or has no finite
     /// derivatives there.
@@ -67,7 +67,7 @@ struct MovingMesh<'a, 'b> {
     sound: Option<(Fit, f64)>,
     /// An end whose path is none: the next mesh tells its likelihood.
     unknown: Option<Fit>,
-    /// Whether this mesh is the last one, which has no limit of its own.
+    /// Tells whether this mesh is the last one, which has no limit of its own.
     last: bool,
     divisions: usize,
     astray: usize,
@@ -78,9 +78,9 @@ struct MovingMesh<'a, 'b> {
 /// The end on one mesh.
 struct Pass {
     found: Fit,
-    /// Whether the mesh begins with a much lower likelihood than the best end so far.
+    /// Tells whether the mesh begins with a much lower likelihood than the best end so far.
     lost: bool,
-    /// Whether the time is over, or the user has stopped it.
+    /// Tells whether the time is over, or the user has stopped it.
     stopped: bool,
     /// How far its outputs are from those of the integration.
     off: f64,
@@ -140,9 +140,8 @@ impl<'a, 'b> MovingMesh<'a, 'b> {
         let fit = self.fit.as_ref().filter(|fit| self.divisions < DIVISIONS && fit.feasible)?;
         self.divisions += 1;
         let one = |r: &Record| {
-            let ends: Vec<f64> = r.mesh_t.iter().copied().step_by(order_of(fit) - 1).collect();
             let path = self.estimation.named(r.mesh_t.clone(), r.mesh_states.clone());
-            (Grid::Edges(in_parts(&ends, 2)), path)
+            (halved(&r.mesh_t, order_of(fit)), path)
         };
         Some(fit.records.iter().map(one).unzip())
     }
@@ -189,7 +188,7 @@ impl<'a, 'b> MovingMesh<'a, 'b> {
         self.estimation.simulated(&self.at, self.accuracy.tolerance)
     }
 
-    /// Whether a mesh has led away from solutions, or to a lower likelihood than the best end so far has.
+    /// Tells whether a mesh has led away from solutions, or to a lower likelihood than the best end so far has.
     fn leads_astray(&self, pass: &Pass) -> bool {
         let Some((_, kept)) = &self.sound else { return false };
         let Pass { found, lost, stopped, off } = pass;

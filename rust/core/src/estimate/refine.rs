@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::fit::{Estimate, Fit, Record};
+use super::fit::{Estimate, Fit};
 use super::integration::IntegrationError;
 use super::print::short;
 use super::run::Watch;
@@ -147,12 +147,17 @@ impl Estimation<'_> {
     ///
     /// Compared are fits that converged on a mesh of the usual order as it was given, and whose path shows that it may be so.
     pub(super) fn compare_with_halves(&self, fit: &mut Fit) -> Result<(), Error> {
-        let few = self.solver.max_iterations < Solving::default().max_iterations;
         let plain =
             self.transcription.is_collocation() && self.model.delays.is_empty() && self.own_solver.is_none();
         let done = fit.refinement.is_some() || fit.smoothing.is_some() || !fit.warnings.is_empty();
         let order = order_of(fit);
-        if few || !plain || done || order == 2 || fit.status != Status::Converged || current().stops() {
+        if self.asks_for_few_iterations()
+            || !plain
+            || done
+            || order == 2
+            || fit.status != Status::Converged
+            || current().stops()
+        {
             return Ok(());
         }
         // Who fits so much has no memory for twice as much.
@@ -164,11 +169,7 @@ impl Estimation<'_> {
         {
             return Ok(());
         }
-        let halves = |record: &Record| {
-            let ends: Vec<f64> = record.mesh_t.iter().copied().step_by(order - 1).collect();
-            Grid::Edges(in_parts(&ends, 2))
-        };
-        let grid = fit.records.iter().map(halves).collect();
+        let grid = fit.records.iter().map(|r| halved(&r.mesh_t, order)).collect();
         let solver = Solving { max_iterations: ITERATIONS, ..self.solver.clone() };
         let finer = Estimation { solver, ..self.on_grid(order, grid).going_on_from(fit) };
         let finer = finer.solve_on_mesh(&mut |_| Control::Continue)?;
@@ -206,6 +207,16 @@ pub(super) fn order_of(fit: &Fit) -> usize {
     }
 }
 
+/// Returns the segment ends of the points of a mesh.
+fn ends_of(mesh: &[f64], order: usize) -> Vec<f64> {
+    mesh.iter().copied().step_by(order - 1).collect()
+}
+
+/// Returns the grid with every segment of a mesh cut into two.
+pub(super) fn halved(mesh: &[f64], order: usize) -> Grid {
+    Grid::Edges(in_parts(&ends_of(mesh, order), 2))
+}
+
 /// Returns segment ends with every segment divided into equal parts.
 pub(super) fn in_parts(ends: &[f64], parts: usize) -> Vec<f64> {
     let inner = |w: &[f64]| {
@@ -218,8 +229,7 @@ pub(super) fn in_parts(ends: &[f64], parts: usize) -> Vec<f64> {
 /// Returns segment ends with every segment of a mesh cut into four, those at the beginning, where there may be transients,
 /// into more.
 fn graded(mesh: &[f64], order: usize) -> Vec<f64> {
-    let ends: Vec<f64> = mesh.iter().copied().step_by(order - 1).collect();
-    let finer = in_parts(&ends, PARTS);
+    let finer = in_parts(&ends_of(mesh, order), PARTS);
     let first = |k: i32| finer[0] + (finer[1] - finer[0]) * (PARTS as f64).powi(-k);
     let graded = (1..=GRADES).rev().map(first);
     finer[..1].iter().copied().chain(graded).chain(finer[1..].iter().copied()).collect()

@@ -83,9 +83,9 @@ impl Estimation<'_> {
     /// Whether another way may lead elsewhere: not from where a fit ended, where kinks are the reason, where a search from many
     /// parameters has been made, or where few iterations were asked for.
     fn may_go_otherwise(&self) -> bool {
-        let many = self.solver.max_iterations >= Settings::default().max_iterations;
         let near = self.earlier.as_ref().is_some_and(|e| e.near);
-        many && !near
+        !self.asks_for_few_iterations()
+            && !near
             && !self.smooths()
             && self.transcription.is_collocation()
             && self.own_solver.is_none()

@@ -54,7 +54,7 @@ impl Estimation<'_> {
         if let Some(fit) = self.smoothed_as_before(watch)? {
             return Ok(fit);
         }
-        let few = self.solver.max_iterations < Settings::default().max_iterations;
+        let few = self.asks_for_few_iterations();
         let known = self.earlier.as_ref().is_some_and(|e| e.smoothed.is_some());
         let again = !(few && known); // smoothing from the first width on takes many
         let mut fit = self.roughly().solve_refined(watch)?;
@@ -82,6 +82,11 @@ impl Estimation<'_> {
             rough.solver.max_iterations = rough.solver.max_iterations.min(ROUGH);
         }
         rough
+    }
+
+    /// Tells whether fewer iterations are asked for than usual: then nothing else is tried that takes more.
+    pub(super) fn asks_for_few_iterations(&self) -> bool {
+        self.solver.max_iterations < Settings::default().max_iterations
     }
 
     /// Tells whether the model has kinks that are smoothed where they matter.

@@ -168,6 +168,8 @@ def test_attas_without_the_vane_the_vane_is_named() -> None:
     assert f.status == "named" and f.gain > f.threshold and f.held_out_gain > 100
     # In free simulation of the other record it explains nearly all that alpha gets wrong.
     assert f.explained_outputs["alpha"] > 0.8 and f.explained_interval[0] > 0.1
+    # Another record scatters as this one does, and beside that.
+    assert f.explained_another[0] < f.explained_interval[0] and f.explained_another[1] <= 1.0
 
 
 @needs_attas

@@ -253,6 +253,7 @@ def _diagnosis_facts(found: Diagnosis[Fit]) -> dict[str, Any]:
         "held_out_gain",
         "explained",
         "explained_interval",
+        "explained_another",
         "explained_outputs",
         "rivals_explained",
         "threshold",

@@ -93,6 +93,7 @@ _READ: Mapping[str, Callable[[Any], Any]] = {
     "aliases": _texts,
     "interval": _pair,
     "explained_interval": _pair,
+    "explained_another": _pair,
     "ringing": lambda each: tuple(map(io.to_float, each)),
     "curve": lambda each: {name: tuple(map(io.to_float, values)) for name, values in each.items()},
     "parameters": lambda each: {name: _pair(pair) for name, pair in each.items()},

@@ -216,7 +216,10 @@ def _explained_in_words(finding: Finding) -> str:
     low, high = finding.explained_interval
     text = f"Explains {_share(finding.explained)} of the misfit in free simulation of data held out"
     if math.isfinite(low) and math.isfinite(high):
-        text += f" (95 %: {_share(low)} to {_share(high)})"
+        text += f" (95 %: {_share(low)} to {_share(high)}"
+        low, high = finding.explained_another
+        known = math.isfinite(low) and math.isfinite(high)
+        text += f"; on another record of this kind: {_share(max(low, 0.0))} to {_share(high)})" if known else ")"
     best = max(finding.explained_outputs, key=lambda n: finding.explained_outputs[n], default="")
     if len(finding.explained_outputs) > 1 and finding.explained_outputs[best] > 0.0:
         text += f", most in {best}"

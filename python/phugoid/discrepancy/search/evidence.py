@@ -116,7 +116,7 @@ class Assessment:
         self._tries = max(cache.tries, 1)
         # By the refits themselves: two fits of an unknown function may have the same name.
         self._held: dict[tuple[Refit, Refit], HeldOut] = {}
-        self._blocks: dict[tuple[Refit, tuple[str, ...]], Simulated] = {}
+        self._blocks: dict[Refit, Simulated] = {}
         self._in_error: dict[tuple[Refit, Refit], float] = {}
         self._on_validation: dict[tuple[Refit, Refit], HeldOut | None] = {}
         self.not_excited: set[str] = set()
@@ -307,19 +307,16 @@ class Assessment:
                 return None
             assert elsewhere is not None
             return Simulated.of(second).explained(Simulated.of(first), Misfitting.of(elsewhere))
-        drifts = any(c.place.kind == "parameter" for c in new)
-        misfit = Misfitting.of(root.linear, self._from_blocks(root, root, drifts))
-        return self._from_blocks(base, other, drifts).explained(self._from_blocks(base, one, drifts), misfit)
+        misfit = Misfitting.of(root.linear, self._from_blocks(root))
+        return self._from_blocks(other).explained(self._from_blocks(one), misfit)
 
-    def _from_blocks(self, base: Refit, more: Refit, common: bool) -> Simulated:
-        """Errors of the blocks of the records, each predicted by the others, with what a model has beside a base; all
-        parameters are ``common`` to the blocks where a drift of one is in question, which own values would hide."""
-        key = more, ("all",) if common else tuple(c.name for c in more.beside(base.candidates))
-        if key not in self._blocks:
-            left = LeftOut(more, more.own.filter)
-            errors = left.common if common else left.plain(more.beside(base.candidates))
-            self._blocks[key] = Simulated.of(more.linear, errors)
-        return self._blocks[key]
+    def _from_blocks(self, at: Refit) -> Simulated:
+        """Errors of the blocks of the records, each predicted by the others; what is estimated again on validation
+        records is estimated again on each block."""
+        if at not in self._blocks:
+            errors = LeftOut(at, at.own.filter).simulated(self._cache.estimated_again(at))
+            self._blocks[at] = Simulated.of(at.linear, errors)
+        return self._blocks[at]
 
     def predicts(self, held: HeldOut) -> bool:
         """Tell whether a gain on held-out data is one."""

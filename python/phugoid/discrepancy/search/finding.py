@@ -87,6 +87,7 @@ class Finding:
                    data held out: only initial states and biases are estimated there. The misfit is the mean square of
                    the residuals of the model diagnosed, less that of their innovations. NaN where unexplained.
     explained_interval   of 95 %, by a block bootstrap over time.
+    explained_another    95 % prediction interval of that part on another record of the same kind and length.
     explained_outputs    output -> by how much its mean square falls, in parts of that of the model diagnosed.
     rivals_explained     alias -> part of the misfit that it would explain in place of the cause.
     curve          of a disturbance or an unknown function: what is added to its place, ``"value"``, with standard
@@ -111,6 +112,7 @@ class Finding:
     ringing: tuple[float, ...] = ()
     explained: float = math.nan
     explained_interval: tuple[float, float] = (math.nan, math.nan)
+    explained_another: tuple[float, float] = (math.nan, math.nan)
     explained_outputs: Mapping[str, float] = field(default_factory=dict)
     rivals_explained: Mapping[str, float] = field(default_factory=dict)
     curve: Mapping[str, tuple[float, ...]] = field(default_factory=dict)

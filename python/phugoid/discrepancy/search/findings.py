@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from .confirmation import Found
 from .disturbance import Disturbance
 from .evidence import is_plausible
 from .finding import DiagnosisResult, ExtensionResult, Finding, Gain
+from .free_run import Explained
 from .record_change import RecordChange
 from .recorded_input import RecordedInput
 from .refit import Refit
@@ -94,11 +96,21 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
         explanation=c.explanation + (_STANDS_IN if stands_in else _remark(c, parameters, plausible)),
         units={n: final.fit.parameters[n].unit for n in parameters},
         rivals=dict(found.rivals),
-        explained=explained.part if explained else float("nan"),
-        explained_interval=explained.interval if explained else (float("nan"), float("nan")),
-        explained_outputs=dict(explained.outputs) if explained else {},
+        **_simulated(explained),
         rivals_explained=dict(found.rivals_explained),
     )
+
+
+def _simulated(explained: Explained | None) -> dict[str, Any]:
+    """Return what a finding tells of the free simulation of data held out; nothing where there is none."""
+    if explained is None:
+        return {}
+    return {
+        "explained": explained.part,
+        "explained_interval": explained.interval,
+        "explained_another": explained.another,
+        "explained_outputs": dict(explained.outputs),
+    }
 
 
 def _amplitude(sine: tuple[float, float], cosine: tuple[float, float]) -> tuple[float, float]:
@@ -166,9 +178,7 @@ def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Find
         advice=_advice(r),
         rivals=dict(r.rivals),
         units={label: unit} if named and d.kind == "noise" else {},
-        explained=r.explained.part if r.explained else nan,
-        explained_interval=r.explained.interval if r.explained else (nan, nan),
-        explained_outputs=dict(r.explained.outputs) if r.explained else {},
+        **_simulated(r.explained),
         curve={
             "at": tuple(map(float, d.knots)),
             "value": tuple(map(float, d.values)),
@@ -227,9 +237,7 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, model: Model) 
         threshold=threshold,
         explanation=explanation,
         advice=advice,
-        explained=h.explained.part if h.explained else nan,
-        explained_interval=h.explained.interval if h.explained else (nan, nan),
-        explained_outputs=dict(h.explained.outputs) if h.explained else {},
+        **_simulated(h.explained),
     )
 
 
@@ -335,8 +343,8 @@ def _explanation(r: Remainder, time: TimeUnit) -> str:
         return f"no candidate describes it, but a smooth function of {d.variable} in {where(d.place)} does: {_shape(d)}"
     if r.moves:
         return (
-            f"what is missing in {at} is not a random disturbance: it recurs with the same motion, as a function of "
-            "several variables or of their past, which no candidate describes"
+            f"what is missing in {at} is not a random disturbance: it recurs with the same motion, or follows past "
+            "inputs, as a function of several variables or of their past, which no candidate describes"
         )
     if r.bursts:
         return (

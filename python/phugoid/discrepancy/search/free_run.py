@@ -7,8 +7,10 @@ first states and biases estimated, does not depend on any noise model.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,8 @@ _Array = NDArray[np.float64]
 
 # Blocks of time, over all records, that a bootstrap draws from, its draws, and the probability of its interval.
 _BLOCKS, _DRAWS, _INTERVAL = 24, 400, 0.95
+# Longer blocks, for the scatter from one manoeuvre to another.
+_LONG = 6
 LEAST = 0.02
 """Parts of an output's power that is not noise below this are taken as this: of white residuals there is nothing to
 explain, and a ratio to it would say nothing."""
@@ -38,11 +42,14 @@ class Explained:
     part       of the misfit, the mean of the outputs weighted by the part of their residuals that is misfit; below 0
                where the term makes the simulation worse.
     interval   95 %, by a block bootstrap over time.
+    another    95 % prediction interval for another record of the same kind and length: the scatter of a bootstrap of
+               few long blocks, by Student's t, and once more for the record itself.
     outputs    output -> reduction of the mean square of its residuals over that of the model diagnosed.
     """
 
     part: float
     interval: tuple[float, float]
+    another: tuple[float, float]
     outputs: Mapping[str, float]
 
     @property
@@ -99,17 +106,39 @@ class Simulated:
         # The part of each square that is misfit: of all of an output it is that part of its mean square.
         wrong = (whole[there] ** 2 * misfit.parts[output]) * size[output]
         blocks = np.flatnonzero(np.bincount(block))
-        sums, wholes = (np.bincount(block, weights=w)[blocks] for w in (less, wrong))
-        drawn = np.random.default_rng(0).integers(blocks.size, size=(_DRAWS, blocks.size))
-        tail = 50.0 * (1.0 - _INTERVAL)
-        # Whatever is explained was misfit, be it as quick as noise.
-        drawn_sums = sums[drawn].sum(axis=1)
-        ratios = drawn_sums / np.maximum(np.maximum(wholes[drawn].sum(axis=1), drawn_sums), LEAST)
-        low, high = np.percentile(ratios, [tail, 100.0 - tail])
+        sums, wholes = (np.bincount(block, weights=w)[blocks].astype(float) for w in (less, wrong))
+        part = _ratio(sums.sum(), wholes.sum())
         of_outputs = np.bincount(output, weights=less, minlength=n)
         named = dict(zip(self.names, of_outputs.tolist(), strict=True))
-        part = float(sums.sum()) / max(float(wholes.sum()), float(sums.sum()), LEAST)
-        return Explained(part, (float(low), float(high)), named)
+        interval = _bootstrap(sums, wholes)
+        return Explained(float(part), interval, _of_another_record(float(part), sums, wholes), named)
+
+
+def _ratio(explained: Any, misfit: Any) -> Any:
+    """Return the part of a misfit that is explained. Whatever is explained was misfit, be it as quick as noise."""
+    return explained / np.maximum(np.maximum(misfit, explained), LEAST)
+
+
+def _bootstrap(sums: _Array, wholes: _Array) -> tuple[float, float]:
+    """Return the interval of the part explained by blocks (n_blocks,) drawn with replacement."""
+    drawn = np.random.default_rng(0).integers(sums.size, size=(_DRAWS, sums.size))
+    tail = 50.0 * (1.0 - _INTERVAL)
+    low, high = np.percentile(_ratio(sums[drawn].sum(axis=1), wholes[drawn].sum(axis=1)), [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
+def _of_another_record(part: float, sums: _Array, wholes: _Array) -> tuple[float, float]:
+    """Return the prediction interval for another record. Its own scatter is that of this record, so that the variances
+    of both add up; few blocks say little of it."""
+    from scipy.special import ndtri, stdtrit  # not at import: it takes its time
+
+    if sums.size < 2:
+        return -math.inf, 1.0
+    begins = np.unique(np.arange(min(_LONG, sums.size)) * sums.size // min(_LONG, sums.size))
+    low, high = _bootstrap(*(np.add.reduceat(x, begins) for x in (sums, wholes)))
+    k, p = begins.size, 0.5 * (1.0 + _INTERVAL)
+    wider = math.sqrt(2.0 * k / (k - 1)) * float(stdtrit(k - 1, p) / ndtri(p))
+    return part - wider * (part - low), min(part + wider * (high - part), 1.0)
 
 
 @dataclass(frozen=True, eq=False)

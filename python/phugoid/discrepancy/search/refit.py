@@ -260,6 +260,7 @@ class LeftOut:
     def __init__(self, at: Refit, filter: Filter) -> None:
         self._seen = at.own if filter is at.own.filter else at.through(filter)
         self._scale, self._block = at.linear.scale(), blocks_of(at.linear)
+        self._names = [n for n in at.fit.parameters if n not in at.fit.noise_parameters]
 
     @cached_property
     def _steps(self) -> list[tuple[NDArray[np.bool_], _Array]]:
@@ -277,11 +278,6 @@ class LeftOut:
         """Return the errors (n_rows,), whitened, with all parameters as the others have them."""
         return self._without(self._seen.errors, self._seen.basis)
 
-    @property
-    def common(self) -> _Array:
-        """Return the same in the units of the outputs."""
-        return self._without(self._seen.residuals, self._seen.plain_basis)
-
     def _without(self, errors: _Array, basis: _Array) -> _Array:
         """Return errors (n_rows,) after the step that the other blocks ask for, along a basis (n_rows, k)."""
         out = errors.copy()
@@ -289,15 +285,18 @@ class LeftOut:
             out[inside] -= basis[inside] @ step
         return out
 
-    def plain(self, held: Sequence[Candidate]) -> _Array:
-        """Return the same with the coefficients of candidates as the others have them, and all else as it fits the
-        block best."""
-        out, scale, size = self.common, self._scale, self._seen.basis.shape[1]
-        fixed = np.array([self._seen.direction(n) for c in held for n in c.parameters]).reshape(-1, size)
-        # Directions of the parameters in which the coefficients stay.
-        free = np.linalg.svd(fixed)[2][np.linalg.matrix_rank(fixed) if fixed.size else 0 :].T
+    def simulated(self, free: Collection[str]) -> _Array:
+        """Return the errors (n_rows,) of a free simulation, in the units of the outputs: with parameters as the others
+        have them, but first states and those in ``free`` as they fit the block best, as on validation records."""
+        seen, scale = self._seen, self._scale
+        out = self._without(seen.residuals, seen.plain_basis)
+        known = [seen.direction(n) for n in self._names if n.partition("[")[0] not in free]
+        # Each in units of its own, of which the rank must not depend.
+        fixed = np.array([d / np.linalg.norm(d) for d in known if d.any()]).reshape(-1, seen.basis.shape[1])
+        # Directions of the parameters in which the known ones stay.
+        own_ways = np.linalg.svd(fixed)[2][np.linalg.matrix_rank(fixed) if fixed.size else 0 :].T
         for inside, _ in self._steps:
-            rest, own = out[inside] / scale[inside], self._seen.plain_basis[inside] @ free / scale[inside, None]
+            rest, own = out[inside] / scale[inside], seen.plain_basis[inside] @ own_ways / scale[inside, None]
             out[inside] = scale[inside] * (rest - own @ np.linalg.lstsq(own, rest, rcond=_RANK)[0])
         return out
 
@@ -360,8 +359,10 @@ def on_other_data(
     limit = max(_ELSEWHERE, _TIMES * fit.time)
     for start in starts:
         # From another model's path, or where only first states are wrong, few iterations lead to this model's.
+        # Where another model's path led nowhere, the last attempt is not worth more than a refit is.
         few = best is not None or start is not starts[-1]
-        solver = Newton(max_iterations=_ITERATIONS, time_limit=limit) if few else Newton(time_limit=limit)
+        most = _ITERATIONS if few else _PATIENT if near is not None else None
+        solver = Newton(time_limit=limit) if most is None else Newton(max_iterations=most, time_limit=limit)
         try:
             found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)
         except EvaluationError as error:  # a root of a level that noise takes below zero, say

@@ -326,7 +326,7 @@ class RefitCache:
         if key not in self._others:
             try:
                 near = near or self._others.get(frozenset())
-                self._others[key] = on_other_data(at, self.validation, near, self._free(at))
+                self._others[key] = on_other_data(at, self.validation, near, self.estimated_again(at))
             except PhugoidError:
                 if not key:
                     raise
@@ -342,18 +342,21 @@ class RefitCache:
             return None
         if key not in self._as_fitted:
             try:
-                found = on_other_data(at, self.validation, self.on_validation(at), self._free(at), as_fitted=True)
+                found = on_other_data(
+                    at, self.validation, self.on_validation(at), self.estimated_again(at), as_fitted=True
+                )
             except PhugoidError:
                 found = None
             self._as_fitted[key] = found
         return self._as_fitted[key]
 
-    def _free(self, at: Refit) -> Sequence[str] | None:
+    def estimated_again(self, at: Refit) -> Sequence[str]:
         """Return what is estimated again on other data: of the base what was asked for, and biases that were found."""
+        by_default = freed_by_default(at.fit.model)
         if self.biases is None:
-            return None
+            return by_default
         base = self.base.fit.model.parameter_names
-        return [*self.biases, *(n for n in freed_by_default(at.fit.model) if n not in base)]
+        return [*self.biases, *(n for n in by_default if n not in base)]
 
     def remember(self, candidate: Candidate, shape: Mapping[str, float], amplitude: _Array) -> None:
         """Return where a refit starts."""

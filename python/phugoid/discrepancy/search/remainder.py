@@ -7,7 +7,7 @@ with a disturbance at each place of the model (`disturbance`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -44,6 +44,7 @@ class RemainderSettings:
     most       part of the misfit below which the terms of a search do not explain most of it.
     functions  unknown functions that are fitted, the likeliest to first order.
     motion     correlation with what neighbours in the motion have, beyond which a time history is no random one.
+    predicted  part of its variance that the inputs predict in time left out, beyond which it is none, either.
     beside_drift  part of the misfit that a disturbance must explain beside a parameter that drifts.
     bursts     part of the squares of a time history in a tenth of the time, beyond which it is no stationary random
                one: of normal values that is 0.44.
@@ -58,6 +59,7 @@ class RemainderSettings:
     most: float = 0.8
     functions: int = 2
     motion: float = 0.35
+    predicted: float = 0.35
     bursts: float = 0.8
     beside_drift: float = 0.25
 
@@ -292,7 +294,9 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         held_out = _held_out(search, option, d, other, s)
         if held_out <= 0.0:
             return None
-    moves = d.kind == "noise" and _goes_with_motion(option.at.linear, d) > s.motion
+    moves = d.kind == "noise" and (
+        _goes_with_motion(option.at.linear, d) > s.motion or _predicted_by_inputs(option.at.linear, d) > s.predicted
+    )
     bursts = d.kind == "noise" and _in_a_tenth(d.values) > s.bursts
     return Remainder(d, option.at, gain, held_out, filtered=option.filtered, moves=moves, bursts=bursts)
 
@@ -393,3 +397,47 @@ def _goes_with_motion(linear: Linearised, of: Disturbance) -> float:
         return found
     chance = float(np.quantile([correlation(v) for v in shifted], _CHANCE))
     return found if found > min(chance, _SURELY) else 0.0
+
+
+# Time constants of what inputs do later, from so many knots to a part of the record; blocks that are left out in turn,
+# and what is added to the diagonal, in parts of the variances: neighbouring lags are much alike.
+_LAGS, _QUICK, _SLOW, _BLOCKS, _RIDGES = 6, 1.0, 0.2, 8, (1e-3, 1e-2, 1e-1)
+
+
+def _predicted_by_inputs(linear: Linearised, of: Disturbance) -> float:
+    """Return the part of a time history's variance that the inputs and their past predict in blocks of time that are
+    left out in turn, at least 0: noise does not know of the inputs, unmodelled dynamics answer them (the test of
+    independence between residuals and past inputs, Ljung 1999, section 16.6)."""
+    names = [n for n in linear.model.declared_inputs if any(np.ptp(p.values[n]) > 0.0 for p in linear.points)]
+    columns, blocks, first = [], [], 0
+    for e, p in enumerate(linear.points):
+        at = of.knots[first : first + of.counts[e]]
+        first += of.counts[e]
+        duration = float(p.t[-1] - p.t[0])
+        taus = np.geomspace(_QUICK * of.step, max(_SLOW * duration, 2.0 * of.step), _LAGS)
+        lagged = [np.interp(at, p.t, z) for n in names for z in (p.values[n], *_lagged(p.t, p.values[n], taus))]
+        columns.append(np.stack([np.ones(at.size), *lagged]))
+        blocks.append(np.minimum((_BLOCKS * (at - p.t[0]) / duration).astype(int), _BLOCKS - 1))
+    x, block, y = np.hstack(columns).T, np.concatenate(blocks), of.values
+    if not names or y.size <= 2 * x.shape[1] or not y.any():
+        return 0.0
+    x /= np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-300)
+    least = float(y @ y)
+    for ridge in _RIDGES:
+        error = np.empty(y.size)
+        for b in range(_BLOCKS):
+            rest = block != b
+            normal = x[rest].T @ x[rest] + ridge * rest.sum() * np.eye(x.shape[1])
+            error[~rest] = y[~rest] - x[~rest] @ np.linalg.solve(normal, x[rest].T @ y[rest])
+        least = min(least, float(error @ error))
+    return 1.0 - least / float(y @ y)
+
+
+def _lagged(t: _Array, u: _Array, taus: _Array) -> Iterable[_Array]:
+    """Return what a signal (n,) is after first-order lags, from rest."""
+    for tau in taus:
+        keep = np.exp(-np.diff(t, prepend=t[0]) / tau).tolist()
+        z, now = np.empty(u.size), float(u[0])
+        for k, (a, value) in enumerate(zip(keep, u.tolist(), strict=True)):
+            z[k] = now = a * now + (1.0 - a) * value
+        yield z

@@ -26,6 +26,8 @@ HIDDEN = [
     ("hfb320", "de:delay", "strong", "coloured", 1, True),
     ("duffing", "u:saturation", "medium", "coloured", 1, True),
     ("servo", "volts:deadband", "strong", "coloured", 1, True),
+    # Which noise of the record of T would explain a part of.
+    ("hfb320", "T:scale", "strong", "coloured", 20500136, True),
     # A state that the model has not.
     ("duffing", "f:lag_x", "medium", "coloured", 1, True),
     ("servo", "torque:lag_rate", "strong", "white", 1, False),

@@ -201,18 +201,20 @@ def _with_recorded_input(state: Inquiry) -> Inquiry:
 
 def _recorded_input(search: Search) -> RecordedInput | None:
     """Return an input that acts otherwise than it is recorded, and explains more so than what an actuator may do to
-    it."""
+    it; noise of its record more than any term."""
     cache = search.cache
     cache.watch("comparing inputs that are held between samples, recorded with noise, or by another clock")
     found = recorded_input(cache)
     if found is None:
         return None
-    search.screen.shortlist(cache.base)
+    likely = search.screen.shortlist(cache.base)
     inputs = found.clock.names if found.clock is not None else (found.name,)
     names = {f"{name}:{rival}" for name in inputs for rival in _RIVALS[found.kind]}
     if found.kind != "noise":
         # Half a sample of the input is a delay of all outputs; of one of them it need not be the input's.
         names |= {f"{y}:delay" for y in cache.base.fit.model.output_names}
+    else:  # an input of another size leaves residuals that go with it, and noise of a record takes its size away
+        names |= {c.name for c in likely if c.transferable}
     late = [c for c in cache.candidates if c.name in names]
     rivals = [r for r in cache.refits([[c] for c in late if cache.has_start(c.name)]) if r is not None]
     best = max((r.merit - len(r.candidates[0].parameters) for r in rivals), default=-np.inf)

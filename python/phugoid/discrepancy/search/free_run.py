@@ -111,7 +111,7 @@ class Simulated:
         of_outputs = np.bincount(output, weights=less, minlength=n)
         named = dict(zip(self.names, of_outputs.tolist(), strict=True))
         interval = _bootstrap(sums, wholes)
-        return Explained(float(part), interval, _of_another_record(float(part), sums, wholes), named)
+        return Explained(float(part), interval, _of_another_record(float(part), interval, sums, wholes), named)
 
 
 def _ratio(explained: Any, misfit: Any) -> Any:
@@ -127,9 +127,9 @@ def _bootstrap(sums: _Array, wholes: _Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _of_another_record(part: float, sums: _Array, wholes: _Array) -> tuple[float, float]:
-    """Return the prediction interval for another record. Its own scatter is that of this record, so that the variances
-    of both add up; few blocks say little of it."""
+def _of_another_record(part: float, interval: tuple[float, float], sums: _Array, wholes: _Array) -> tuple[float, float]:
+    """Return the prediction interval for another record, no narrower than that of this one. Its own scatter is that of
+    this record, so that the variances of both add up; few blocks say little of it."""
     from scipy.special import ndtri, stdtrit  # not at import: it takes its time
 
     if sums.size < 2:
@@ -138,7 +138,7 @@ def _of_another_record(part: float, sums: _Array, wholes: _Array) -> tuple[float
     low, high = _bootstrap(*(np.add.reduceat(x, begins) for x in (sums, wholes)))
     k, p = begins.size, 0.5 * (1.0 + _INTERVAL)
     wider = math.sqrt(2.0 * k / (k - 1)) * float(stdtrit(k - 1, p) / ndtri(p))
-    return part - wider * (part - low), min(part + wider * (high - part), 1.0)
+    return min(part - wider * (part - low), interval[0]), min(max(part + wider * (high - part), interval[1]), 1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,6 +71,7 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES; a name imported `as
     from .simulation import simulate as simulate
     from .solvers.ipopt import Ipopt as Ipopt
     from .solvers.newton import Newton as Newton
+    from .steady_state import from_steady_state as from_steady_state
     from .transcription import Collocation as Collocation
     from .transcription import MultipleShooting as MultipleShooting
     from .transcription import SingleShooting as SingleShooting
@@ -108,6 +109,7 @@ _PLACES = {
     "simulation": "simulate",
     "solvers.ipopt": "Ipopt",
     "solvers.newton": "Newton",
+    "steady_state": "from_steady_state",
     "transcription": "Collocation MultipleShooting SingleShooting",
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names.split()}

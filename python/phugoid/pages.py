@@ -99,6 +99,7 @@ def histories(record: Record, sigmas: Mapping[str, float] = {}, first: str = "")
 
     Residuals get a band of ±2 ``sigmas``; ``first`` is the output whose residual is shown over two variables at first.
     """
+    record = record.without_rest()
     each = -(-record.n // _SAMPLES)
     groups = {"y": record.outputs, "u": record.inputs, "x": record.states, "z": record.measured, "r": record.residuals}
     values = {f"{g} {name}": _numbers(v[::each]) for g, group in groups.items() for name, v in group.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -91,6 +91,19 @@ class Record:
     def n(self) -> int:
         """Number of samples, N."""
         return int(self.t.size)
+
+    def without_rest(self) -> Record:
+        """Return the record from its first measured sample on where what lies before that is longer than what follows,
+        as a steady state is (`from_steady_state`); else the record itself. Figures show this part."""
+        there = [np.isfinite(z) for z in self.measured.values()]
+        first = int(np.argmax(np.any(there, axis=0))) if there else 0
+        if self.n - first < 2 or self.t[first] - self.t[0] <= self.t[-1] - self.t[first]:
+            return self
+        over_time = [group for group in _GROUPS if group != "mesh_states"]
+        parts: dict[str, Any] = {g: {n: v[first:] for n, v in getattr(self, g).items()} for g in over_time}
+        kept = self.mesh_t >= self.t[first]
+        mesh = {n: v[kept] for n, v in self.mesh_states.items()}
+        return replace(self, t=self.t[first:], mesh_t=self.mesh_t[kept], mesh_states=mesh, **parts)
 
     def rms(self) -> dict[str, float]:
         """Return the root mean square of each output's residuals, in its unit; NaN without samples, and where the

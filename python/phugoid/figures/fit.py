@@ -255,6 +255,7 @@ def _draw(
     title: str,
     tolerances: Mapping[str, Tolerance] = MappingProxyType({}),
 ) -> tuple[Figure, dict[str, Axes]]:
+    record = record.without_rest()
     if isinstance(channels, str):
         raise DataError(f"channels='{channels}' is text: give a list, such as channels=['{channels}']")
     if channels is None:

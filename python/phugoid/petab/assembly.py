@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from .._core import Expr
 from ..data.experiment import Experiment
 from ..data.filtering import Interpolation
-from ..errors import EvaluationError, ModelError
+from ..errors import ModelError
 from ..modelling.densities import PerOutput
 from ..modelling.model import Model
 from ..modelling.noise import Gaussian
 from ..parameters import Parameter
 from ..records import Record
-from ..simulation import simulate
+from ..steady_state import REST, at_rest, duration_of_rest, integrated
 from .measurements import Conditions, Measurements, Output, Phase
 from .sbml import TIME, Formulas, SbmlModel, Switch, substituted
 
@@ -165,17 +165,6 @@ def model_of(
 
 
 _Array = NDArray[np.float64]
-# The mesh of a rest before a record, in parts of its duration: from the fastest motion to the slowest, five a decade.
-_REST = np.concatenate([[0.0], np.logspace(-10.0, 0.0, 51)])
-# A model is at rest where no state moves by more than this part of its size, while time goes on tenfold.
-_STILL = 1e-7
-_LONGEST = 1e12
-# A rest is so many times longer than the model takes at the parameters at hand, since at others it is slower. Where a
-# state still moves by more than this part of its size between points of the mesh that are so far apart, it is too
-# short.
-_LONGER = 1e4
-_MOVES = 1e-5
-_APART = 2
 
 
 @dataclass(frozen=True)
@@ -203,16 +192,16 @@ class Records:
         if math.inf in times:
             times.remove(math.inf)
             begun = self._made(phase, np.array(sorted(times)), steps, {})
-            final = self._rest(begun, phase, at)
-            times |= set(float(t) for t in max(times) + final * _REST[1:])
+            final = duration_of_rest(self.model, at, begun, "PEtab")
+            times |= set(float(t) for t in max(times) + final * REST[1:])
         t = np.array(sorted(times))
         last = float(t[-1])
         found = self._made(phase, t, steps, {n: [(min(s, last), z) for s, z in own] for n, own in samples.items()})
         if phase.before is None:
             return found
         before = self._made(phase, np.array([-1.0, 0.0]), steps, {}, True)
-        duration = self._rest(before, phase, at)
-        rest = np.concatenate([duration * (_REST[:-1] - 1.0), t])
+        duration = duration_of_rest(self.model, at, before, "PEtab")
+        rest = np.concatenate([duration * (REST[:-1] - 1.0), t])
         return self._made(phase, rest, steps, {n: list(own) for n, own in samples.items()})
 
     def _made(
@@ -274,49 +263,12 @@ class Records:
         return phase.before is not None or math.inf in ends
 
     def settled(self, phase: Phase, record: Record) -> bool:
-        """Return whether the states of a record of a phase are at rest where they have to be.
-
-        Compared are the states at the last point of the mesh before the end of the rest, where states may be set, and
-        those at 0.4 of that time.
-        """
-        states = np.array(list(record.states.values()))
-        size = np.abs(states).max(axis=1) + 1e-300
+        """Return whether the states of a record of a phase are at rest where they have to be."""
         ends = [] if phase.before is None else [int(np.searchsorted(record.t, 0.0))]
         if math.inf in (t for own in self.measured.samples[phase].values() for t, _ in own):
             ends.append(record.t.size - 1)
-        moved = [np.abs(states[:, end - 1] - states[:, end - 1 - _APART]) for end in ends]
-        return all(bool((m <= _MOVES * size).all()) for m in moved)
+        return all(at_rest(record, end) for end in ends)
 
-    def _rest(self, experiment: Experiment, phase: Phase, at: Mapping[str, float]) -> float:
-        """Return a duration after which the model, at these parameters and slower ones, has long been at rest."""
-        duration = 1.0
-        while duration < _LONGEST:
-            t = experiment.t[-1] + np.array([0.0, 1.0, 10.0]) * duration
-            longer = self._held_on(experiment, np.concatenate([experiment.t[:-1], t]))
-            record = self.integrated(phase, at, longer)
-            states = np.array(list(record.states.values()))
-            size = np.abs(states).max(axis=1) + 1e-300
-            if (np.abs(states[:, -1] - states[:, -2]) <= _STILL * size).all():
-                return _LONGER * duration
-            duration *= 4.0
-        raise EvaluationError(f"PEtab: the model does not come to rest in the condition {phase.name}")
-
-    def integrated(
-        self, phase: Phase, at: Mapping[str, float], experiment: Experiment, time_limit: float | None = 20.0
-    ) -> Record:
-        """Integrate the model over an experiment of a phase, by an implicit method where the explicit one fails."""
-        try:
-            return simulate(self.model, at, experiment, rtol=1e-8, time_limit=time_limit)
-        except EvaluationError:
-            pass  # of a stiff rest the explicit method may take too many steps
-        try:
-            return simulate(self.model, at, experiment, method="Radau", rtol=1e-8, time_limit=time_limit)
-        except EvaluationError as error:
-            raise EvaluationError(f"PEtab: the steady state of {phase.name} was not reached: {error}") from error
-
-    def _held_on(self, experiment: Experiment, t: _Array) -> Experiment:
-        """Return the signals of an experiment over other times, constant at their last values."""
-        place = np.clip(np.searchsorted(experiment.t, t, side="right") - 1, 0, experiment.n - 1)
-        inputs = {n: experiment.input(n)[place] for n in self.model.input_names}
-        kinds: dict[str, Interpolation] = dict.fromkeys(inputs, "hold")
-        return Experiment(t, inputs, name=experiment.name, interpolation=kinds or "linear")
+    def integrated(self, at: Mapping[str, float], experiment: Experiment, time_limit: float | None) -> Record:
+        """Integrate the model over an experiment."""
+        return integrated(self.model, at, experiment, "PEtab", time_limit)

@@ -89,7 +89,7 @@ class PetabProblem:
         for i, phase in enumerate(self._phases):
             if not self._records.rests(phase):
                 continue
-            record = self._records.integrated(phase, at, experiments[i], time_limit)
+            record = self._records.integrated(at, experiments[i], time_limit)
             if not self._records.settled(phase, record):
                 experiments[i] = self._records.experiment(phase, at)
         same = all(a is b for a, b in zip(experiments, self.experiments, strict=True))

@@ -34,6 +34,8 @@ import phugoid as ph
 ENOUGH = 0.1
 # Further starts for the peers: batches of as many as ours has, at most so many.
 BATCHES = 50
+# In the figure, differences are drawn within these limits.
+SHOWN = (1e-4, 1e4)
 
 
 def ours(problem, starts, limit):
@@ -175,19 +177,25 @@ def figure(ends, path):
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    fig, axes = plt.subplots(1, len(ends), figsize=(2.6 * len(ends), 3.0), squeeze=False, constrained_layout=True)
-    for axis, (name, (nominal, found)) in zip(axes[0], ends.items(), strict=True):
+    columns = min(len(ends), 4)
+    rows = -(-len(ends) // columns)
+    size = 2.6 * columns, 2.8 * rows
+    fig, axes = plt.subplots(rows, columns, figsize=size, squeeze=False, sharey=True, constrained_layout=True)
+    for axis, (name, (nominal, found)) in zip(axes.flat, ends.items(), strict=False):
         best = best_known(nominal, found)
         for program, runs in found.items():
             each = np.array([end["value"] for end in runs])
             gaps = np.sort(each[np.isfinite(each)] - best)
             share = np.arange(1, gaps.size + 1) / max(each.size, 1)
-            axis.plot(share, np.maximum(gaps, 1e-4), "o-", ms=3, lw=0.8, label=program)
+            axis.plot(share, np.clip(gaps, *SHOWN), "o-", ms=3, lw=0.8, label=program)
         axis.set_yscale("log")
         axis.axhline(ENOUGH, color="0.7", lw=0.8)
         axis.set_title(name, fontsize=9)
         axis.set_xlabel("share of starts, best first")
-    axes[0][0].set_ylabel("above the best known")
+    for axis in axes.flat[len(ends) :]:
+        axis.set_visible(False)
+    for row in axes:
+        row[0].set_ylabel("above the best known")
     axes[0][0].legend(fontsize=7)
     fig.savefig(path, dpi=150)
 

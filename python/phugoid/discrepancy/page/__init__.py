@@ -214,7 +214,7 @@ def finding_lines(finding: Finding) -> list[str]:
 def _explained_in_words(finding: Finding) -> str:
     """Return what a finding explains in free simulation."""
     low, high = finding.explained_interval
-    text = f"Explains {_share(finding.explained)} of the misfit in free simulation of data held out"
+    text = f"Explains {_share(finding.explained)} of the misfit in free simulation of {finding.explained_in}"
     if math.isfinite(low) and math.isfinite(high):
         text += f" (95 %: {_share(low)} to {_share(high)}"
         low, high = finding.explained_another

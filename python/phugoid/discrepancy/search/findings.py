@@ -311,12 +311,13 @@ def finding_of_record_change(c: RecordChange) -> Finding:
         parameters={f"{c.place.name}[{record}]": value for record, value in c.values.items()},
         gain=c.gain,
         threshold=c.threshold,
-        explanation=(
-            f"{c.explanation}: {', '.join(listed[:_LISTED])}{more}; that explains "
-            f"{percent(min(c.explained.part, 1.0))} of the misfit of these records"
-        ),
+        explanation=f"{c.explanation}: {', '.join(listed[:_LISTED])}{more}",
         advice=advice,
         units={f"{c.place.name}[{record}]": c.unit for record in c.values},
+        explained=c.explained.part,
+        explained_in="the fitted records",
+        explained_interval=c.explained.interval,
+        explained_outputs=dict(c.explained.outputs),
     )
 
 

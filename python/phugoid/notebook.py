@@ -265,7 +265,9 @@ def _markup(e: Expr, new: Collection[str]) -> tuple[str, int]:
         return f"<mrow>{of[0][0]}<mo>{_RELATIONS[operation]}</mo>{of[1][0]}</mrow>", 0
     inside = "<mo>,</mo>".join(text for text, _ in of)
     name = escape(str(e).partition("(")[0] if operation == "lookup" else operation)
-    return f"<mrow><mi>{name}</mi><mo>(</mo>{inside}<mo>)</mo></mrow>", _ATOM
+    # Brackets grow with fractions alone: without a font for formulas those around a Greek letter would.
+    fixed = "" if "<mfrac>" in inside else " stretchy='false'"
+    return f"<mrow><mi>{name}</mi><mo{fixed}>(</mo>{inside}<mo{fixed}>)</mo></mrow>", _ATOM
 
 
 def _sum(operation: str, term: Expr, of: list[tuple[str, int]]) -> str:

@@ -217,7 +217,7 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float) -> tuple[Figure,
     residuals taken as white, which mislead. Hatched are candidates with a remark: hard to tell from the parameters
     there. Returns the figure and the axes by ``"ranking"``. Raises DataError where there is none.
     """
-    from matplotlib.ticker import FuncFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     if not ranking:
         raise DataError("ranking_figure: there are no candidates")
@@ -241,8 +241,12 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float) -> tuple[Figure,
             axis.plot(scored.white, row, "o", ms=3.6, mfc="white", mec=RESIDUAL, mew=0.9)
         axis.axvline(threshold, color=MODEL, linewidth=1.1)
         axis.set_xscale("log")
-        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_xlim(left=low)
+        low, high = axis.get_xlim()
+        if high < 100.0 * low:  # less than two decades
+            axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.set_yticks(range(len(shown)), [plain(s.name) for s in shown])
         axis.tick_params(axis="y", length=0.0)
         axis.invert_yaxis()

@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import joined
 from ...fit_result import FitResult
 from ...modelling.model import Model
+from ...parameters import plus_minus
 from ...time_unit import TimeUnit
 from ..candidates.candidate import Candidate
 from ..candidates.terms import where
@@ -286,7 +287,7 @@ def _first(listed: Sequence[str], noun: str) -> str:
 def finding_of_record_change(c: RecordChange) -> Finding:
     """Return a difference between records as it is told."""
     unit = f" {c.unit}" if c.unit else ""
-    listed = [f"{number(v, 4)} ± {number(e, 2)}{unit} in '{record}'" for record, (v, e) in c.values.items()]
+    listed = [f"{plus_minus(v, e)}{unit} in '{record}'" for record, (v, e) in c.values.items()]
     more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""
     if c.is_scale:
         turned = [f"'{record}'" for record, (v, _) in c.values.items() if v < _TURNED]

@@ -90,7 +90,8 @@ def _figures(app: Sphinx, plt: Any) -> list[nodes.Node]:
         app.env.temp_data["executed"] = count = app.env.temp_data.get("executed", 0) + 1
         uri = f"{FIGURES}/{page}-{count}.png"
         plt.figure(number).savefig(Path(app.srcdir) / uri, dpi=110)
-        made.append(nodes.image(uri=f"/{uri}", alt="What the code above draws"))
+        image = nodes.image(uri=f"/{uri}", alt="What the code above draws")
+        made.append(nodes.container("", image, classes=["wide-figure"]))
     plt.close("all")
     return made
 

@@ -33,9 +33,10 @@ _BARS = 12
 
 def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
     """Return the figures of `Diagnosis.plot`; see there."""
-    figures = [diagnosis.misfit.plot()[0]]
+    figures = []  # as they are made, so they are shown in a notebook
     if any(np.isfinite(f.explained) for f in diagnosis.findings):
-        figures.insert(0, explained_figure(diagnosis.findings)[0])
+        figures.append(explained_figure(diagnosis.findings)[0])
+    figures.append(diagnosis.misfit.plot()[0])
     figures += [curve_figure(f, diagnosis.fit.model.time_unit)[0] for f in diagnosis.findings if f.curve]
     if diagnosis.ranking:
         figures.append(ranking_figure(diagnosis.ranking, diagnosis.threshold)[0])

@@ -203,6 +203,13 @@ def test_text_cell_names_line_and_column(table: Any) -> None:
 
 def test_decimal_comma_is_not_guessed(table: Any) -> None:
     assert has(refusal(table("t;q\n0;1,5\n1;2,5\n")), "line 2", "'1,5'", "decimal comma")
+    # A row of such numbers is not one of units.
+    assert has(refusal(table("t;q\n0,0;1,5\n0,1;2,5\n")), "line 2", "'0,0'", "decimal comma")
+
+
+def test_rename_the_wrong_way_round_is_recognised(table: Any) -> None:
+    message = refusal(table("t,Pitch\n0,1\n1,2\n"), rename={"q": "Pitch"})
+    assert has(message, "there is no column 'q'", "rename is {column: name}: {'Pitch': 'q'}")
 
 
 def test_gap_in_a_declared_input_is_refused(table: Any) -> None:

@@ -51,6 +51,8 @@ class _Table:
 _MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
 # Numbers that stand for missing samples in many files; a column whose other values come near them may mean them.
 _FILLED, _NEAR = (-9999.0, -99999.0), 0.5
+# A number with a decimal comma, which is refused: it may separate thousands.
+_COMMA = re.compile(r"[+-]?\d+,\d+")
 # A date and a time of ISO 8601, with seconds and an offset from UTC where they are given.
 _DATE = re.compile(
     r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d(?:[.,]\d{1,9})?)?)"  # date and time
@@ -178,7 +180,7 @@ def _join_unit(header: str) -> str:
 
 
 def _is_text(cell: str) -> bool:
-    if cell.lower() in _MISSING or _DATE.fullmatch(cell):
+    if cell.lower() in _MISSING or _DATE.fullmatch(cell) or _COMMA.fullmatch(cell):
         return False
     try:
         float(cell)
@@ -200,10 +202,9 @@ def _numbers(table: _Table, j: int, name: str) -> NDArray[Any]:
         try:
             values[i] = np.nan if cell.lower() in _MISSING else float(cell)
         except ValueError:
-            decimal = re.fullmatch(r"[+-]?\d+,\d+.*", cell)
             comma = (
-                " (a decimal comma? write points, or give ph.read(pandas.read_csv(..., decimal=',')))"
-                if decimal
+                " (a decimal comma? write points, or give ph.read(pandas.read_csv(..., sep=';', decimal=',')))"
+                if _COMMA.match(cell)
                 else ""
             )
             raise DataError(

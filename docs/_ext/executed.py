@@ -32,6 +32,7 @@ def run_pages(app: Sphinx, doctree: nodes.document) -> None:
         return
     import matplotlib.pyplot as plt
 
+    plt.close("all")  # what plot directives of the page have left open is shown by these
     names: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder, _inside(Path(folder), doctree.astext()):
         for block in found:

@@ -27,8 +27,9 @@ def read_text(path: Path, columns: Sequence[str] | None, delimiter: str | None) 
     delimiter  None: found out from the file.
 
     Lines that begin with ``#`` or ``%`` are comments, and lines with fewer cells before the header are passed over. A
-    column of words, such as remarks, is left out; a column of dates with times (ISO 8601) is one of ``datetime64``. DataError names the line of a row that has too many
-    or too few cells, and the line and the column of a cell that is not a number.
+    column of words, such as remarks, is left out; a column of dates with times (ISO 8601) is one of ``datetime64``.
+    DataError names the line of a row that has too many or too few cells, and the line and the column of a cell that is
+    not a number.
     """
     table = _parse(path, columns, delimiter)
     parts = zip(table.names, table.units, table.headers, strict=True)

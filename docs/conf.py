@@ -66,7 +66,6 @@ sphinx_gallery_conf = {
     "gallery_dirs": "examples",
     "filename_pattern": "/",
     "download_all_examples": False,
-    "notebook_extensions": set(),
     "show_memory": False,
     "show_signature": False,
     "abort_on_example_error": True,

@@ -360,6 +360,20 @@ def test_explained_figure_has_named_causes_and_their_rivals() -> None:
         explained_figure([UNEXPLAINED])
 
 
+def test_explained_figure_has_what_differs_from_record_to_record(diagnosis: Any, tmp_path: Path) -> None:
+    change = dataclasses.replace(
+        MINOR, cause="k:per_experiment", status="named", explained=0.9, explained_in="the fitted records"
+    )
+    _, axes = explained_figure([change, MINOR])
+    left = axes["explained"]
+    assert [t.get_text() for t in left.get_yticklabels()] == ["k:per_experiment (fitted records)", "q:bias (minor)"]
+    assert [bool(bar.get_hatch()) for bar in left.patches] == [True, False]
+    diagnosis.findings = [change]
+    assert "Explains 90 % of the misfit in free simulation of the fitted records" in diagnosis_summary(diagnosis)
+    source, _ = page(diagnosis, tmp_path)
+    assert "Explained misfit" in source and "hatched: what differs from record to record" in source
+
+
 def test_ranking_figure_has_the_best_in_order(diagnosis: Any) -> None:
     _, axes = ranking_figure(list(reversed(diagnosis.ranking)), 17.0)
     axis = axes["ranking"]

@@ -153,7 +153,7 @@ def test_str_shows_the_equations() -> None:
 
 
 def test_repr_counts() -> None:
-    assert repr(complete()) == "<Model 'lag': 1 states, 1 inputs, 2 outputs, 1 parameters>"
+    assert repr(complete()) == "<Model 'lag': 1 state, 1 input, 2 outputs, 1 parameter>"
 
 
 def test_latex_is_an_aligned_block() -> None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 import re
+import subprocess
 import sys
 import types
 import xml.etree.ElementTree as xml
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import flight_path_twin as twin
@@ -327,3 +330,23 @@ def test_a_flow_that_equations_share_is_advised_to_be_declared(diagnosis: ph.res
     noisy = {n: y + 0.01 * rng.standard_normal(t.size) for n, y in flow.outputs.items()}
     d = ph.diagnose(ph.estimate(m, ph.Experiment(t, {"u": run.inputs["u"]}, noisy, name="a")))
     assert any("m.quantities(...)" in note for note in d.notes)
+
+
+def test_every_figure_of_a_notebook_is_shown(tmp_path: Path) -> None:
+    """A backend of notebooks turns interactive drawing on when it is loaded, and shows figures made while it is on."""
+    (tmp_path / "backend_of_notebooks.py").write_text(
+        "import matplotlib\nfrom matplotlib.backends.backend_agg import *\nmatplotlib.interactive(True)\n"
+    )
+    program = (
+        "import matplotlib.pyplot as plt\nfrom phugoid.figures import styled\n"
+        "with styled():\n    plt.subplots()\nprint(plt.get_backend(), plt.isinteractive())\n"
+    )
+    paths = os.pathsep.join([str(tmp_path), *sys.path])
+    said = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "MPLBACKEND": "module://backend_of_notebooks", "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert said.stdout.split() == ["module://backend_of_notebooks", "True"]

@@ -201,8 +201,26 @@ def test_text_cell_names_line_and_column(table: Any) -> None:
     assert has(message, "run1.csv", "line 4", "column 'b'", "'off' is not a number")
 
 
+def test_a_column_of_words_is_left_out(table: Any) -> None:
+    path = table("t,q,Remarks\n0,1,begin\n1,2,\n2,3,turn left\n")
+    run = read(path)
+    assert run.output("q").tolist() == [1.0, 2.0, 3.0]
+    with pytest.raises(DataError, match=r"The file has it, but it holds text \('begin'\)"):
+        run.output("Remarks")
+    assert has(refusal(path, outputs=["Remarks"]), "'Remarks' (outputs=...) holds text ('begin')")
+    # One number, a date or inf makes it a column with a wrong cell.
+    assert has(refusal(table("t,q,b\n0,1,off\n1,2,3\n")), "'off' is not a number")
+
+
 def test_decimal_comma_is_not_guessed(table: Any) -> None:
     assert has(refusal(table("t;q\n0;1,5\n1;2,5\n")), "line 2", "'1,5'", "decimal comma")
+    # A row of such numbers is not one of units.
+    assert has(refusal(table("t;q\n0,0;1,5\n0,1;2,5\n")), "line 2", "'0,0'", "decimal comma")
+
+
+def test_rename_the_wrong_way_round_is_recognised(table: Any) -> None:
+    message = refusal(table("t,Pitch\n0,1\n1,2\n"), rename={"q": "Pitch"})
+    assert has(message, "there is no column 'q'", "rename is {column: name}: {'Pitch': 'q'}")
 
 
 def test_gap_in_a_declared_input_is_refused(table: Any) -> None:

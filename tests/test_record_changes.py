@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import phugoid as ph
+from phugoid.discrepancy.page.figures import explained_figure
 
 T = np.arange(0.0, 25.0, 0.05)
 
@@ -51,6 +52,11 @@ def test_a_parameter_that_was_another_in_one_record_is_named() -> None:
     assert extended.gain.log_likelihood > 1000.0
     assert all(extended.gain.rms_after[n] < 0.2 * extended.gain.rms_before[n] for n in ("x", "v"))
     assert "4.6" in d.summary() and "'flight 3'" in d.summary()
+    # All of the misfit is that, and the figure that leads the page shows it.
+    assert f.explained > 0.95 and f.explained_in == "the fitted records" and set(f.explained_outputs) == {"x", "v"}
+    assert "in free simulation of the fitted records" in d.summary()
+    (bar,) = explained_figure(d.findings)[1]["explained"].patches
+    assert bar.get_width() == pytest.approx(100.0 * f.explained)
 
 
 def test_an_offset_of_a_sensor_in_one_record_is_named() -> None:

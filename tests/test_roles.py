@@ -107,7 +107,7 @@ def test_fits_and_diagnoses_are_saved_with_them(fit: ph.Fit, tmp_path: Path) -> 
 
 
 def test_they_are_printed() -> None:
-    assert repr(roll()) == "<Model 'roll': 1 states, 1 inputs, 1 conditions, 1 outputs, 2 parameters>"
+    assert repr(roll()) == "<Model 'roll': 1 state, 1 input, 1 condition, 1 output, 2 parameters>"
     assert str(roll()).endswith("conditions: V (m/s)")
     assert r"\text{conditions: } & V" in roll().latex()
 

@@ -32,6 +32,7 @@ def run_pages(app: Sphinx, doctree: nodes.document) -> None:
         return
     import matplotlib.pyplot as plt
 
+    plt.close("all")  # what plot directives of the page have left open is shown by these
     names: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder, _inside(Path(folder), doctree.astext()):
         for block in found:
@@ -90,7 +91,8 @@ def _figures(app: Sphinx, plt: Any) -> list[nodes.Node]:
         app.env.temp_data["executed"] = count = app.env.temp_data.get("executed", 0) + 1
         uri = f"{FIGURES}/{page}-{count}.png"
         plt.figure(number).savefig(Path(app.srcdir) / uri, dpi=110)
-        made.append(nodes.image(uri=f"/{uri}", alt="What the code above draws"))
+        image = nodes.image(uri=f"/{uri}", alt="What the code above draws")
+        made.append(nodes.container("", image, classes=["wide-figure"]))
     plt.close("all")
     return made
 

@@ -2,8 +2,8 @@
 Which manoeuvre?
 ================
 
-Four inputs for the short period of an aircraft, before any is flown: what would each tell about the
-derivatives, and which keeps the limits?
+Four inputs for the short period of an aircraft are compared before any is flown: which standard errors of the
+derivatives are to be expected, and which input stays within the limits?
 """
 
 import numpy as np

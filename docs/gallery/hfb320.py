@@ -13,13 +13,12 @@ from pathlib import Path
 
 import phugoid as ph
 from phugoid.cli import app
-from phugoid.cli.model_file import load_model
 
 # As the command does: phugoid example hfb320
 folder = Path(tempfile.mkdtemp())
 with contextlib.redirect_stdout(None):
     app(["example", "hfb320", "--out", str(folder)], standalone_mode=False)
-model = load_model(str(folder / "hfb320.py"))
+model = ph.models.hfb320()
 record = ph.read(folder / "hfb320.csv")
 other = ph.read(folder / "hfb320_other.csv")
 
@@ -27,12 +26,15 @@ other = ph.read(folder / "hfb320_other.csv")
 # The model names its aerodynamic coefficients, so that candidates for what it misses can be sought
 # in them:
 
-print(model)
+model
 
 # %%
 
 fit = ph.estimate(model, record)
-print(fit.parameters)
+fit.parameters
+
+# %%
+
 figure, axes = fit.plot()
 
 # %%

@@ -1,9 +1,10 @@
 """
-How sure?
-=========
+How accurate the estimates are
+==============================
 
-Residuals of flight records are coloured: each is partly the one before it. Standard errors that take
-them for white are then too small. Here the noise is coloured on purpose, so that the truth is known.
+Residuals of flight records are coloured: each is correlated with those before it. Standard errors for
+white residuals are then too small. Here the noise is simulated with a known autocorrelation, so that the
+true scatter is known.
 """
 
 import numpy as np
@@ -24,7 +25,7 @@ path = ph.simulate(m, {"Mq": -2.0, "Mde": -6.0}, blank)
 
 
 def coloured(sigma: float) -> np.ndarray:
-    """Noise of which each sample has 0.9 of the one before."""
+    """Return noise with a lag-1 autocorrelation of 0.9."""
     noise = sigma * random.standard_normal(t.size)
     for k in range(1, t.size):
         noise[k] = 0.9 * noise[k - 1] + np.sqrt(1 - 0.9**2) * noise[k]
@@ -36,19 +37,19 @@ fit = ph.estimate(m, run)
 print(fit.robust().summary())
 
 # %%
-# Many records of the same kind would scatter like this: each drawn with noise as coloured as the
-# residuals, and estimated.
+# A parametric bootstrap: records are simulated with noise that has the autocorrelation of the residuals,
+# and the parameters are estimated from each. Their scatter agrees with the corrected standard errors.
 
 bootstrap = fit.bootstrap(60, "coloured", seed=1)
 print(bootstrap.summary())
 
 # %%
-# Residuals over time, autocorrelation and spectrum show the colour:
+# Residuals over time, with their autocorrelation and power spectrum:
 
 figure, axes = fit.plot_residuals()
 
 # %%
-# The likelihood along each parameter, with all others estimated anew, its drop made larger by the
-# colour, and the interval of 95 %:
+# The profile likelihood of each parameter, with all others re-estimated, and its interval of 95 %,
+# corrected for residual autocorrelation:
 
 figure, axes = fit.profile(coloured=True).plot()

@@ -3,8 +3,8 @@ An unstable aircraft
 ====================
 
 Output error by single shooting needs a simulation that stays near the data, which an unstable
-aircraft does not. With collocation there is nothing to stay near: the states are unknowns, and
-start as measured.
+aircraft does not. With collocation the states are unknowns, which start at their measured values: nothing
+is simulated, and nothing diverges.
 """
 
 import numpy as np

@@ -179,7 +179,9 @@ _CLIP = re.compile(
     r"0\.5\*\(sqrt\(\((\w+) \+ (\w+)\)\*\(\1 \+ \2\) \+ [\d.e+-]+\) - sqrt\(\(\1 - \2\)\*\(\1 - \2\) \+ [\d.e+-]+\)\)"
 )
 _LIMITED = re.compile(r"(\w+ - )?clip\((\w+), ±(\w+)\)")
-_MATH = "<math displaystyle='true'>"
+# Other fonts have no place for subscripts, and browsers do not choose one of these by themselves.
+_FONTS = "Latin Modern Math, STIX Two Math, Cambria Math, DejaVu Math TeX Gyre, math"
+_MATH = f"<math displaystyle='true' style='font-family: {_FONTS}'>"
 _D = "<mi mathvariant='normal'>d</mi>"  # a dot above is lost in many fonts
 _SIGNED = ("constant", "neg", "mul")  # a sign in front of these is that of the whole
 _LONGEST = 600  # characters of the plain text; longer equations are shown as that
@@ -265,7 +267,9 @@ def _markup(e: Expr, new: Collection[str]) -> tuple[str, int]:
         return f"<mrow>{of[0][0]}<mo>{_RELATIONS[operation]}</mo>{of[1][0]}</mrow>", 0
     inside = "<mo>,</mo>".join(text for text, _ in of)
     name = escape(str(e).partition("(")[0] if operation == "lookup" else operation)
-    return f"<mrow><mi>{name}</mi><mo>(</mo>{inside}<mo>)</mo></mrow>", _ATOM
+    # Brackets grow with fractions alone: without a font for formulas those around a Greek letter would.
+    fixed = "" if "<mfrac>" in inside else " stretchy='false'"
+    return f"<mrow><mi>{name}</mi><mo{fixed}>(</mo>{inside}<mo{fixed}>)</mo></mrow>", _ATOM
 
 
 def _sum(operation: str, term: Expr, of: list[tuple[str, int]]) -> str:

@@ -252,6 +252,7 @@ def _diagnosis_facts(found: Diagnosis[Fit]) -> dict[str, Any]:
         "gain",
         "held_out_gain",
         "explained",
+        "explained_in",
         "explained_interval",
         "explained_another",
         "explained_outputs",

@@ -189,7 +189,9 @@ def _renamed(source: Source, rename: Mapping[str, str]) -> list[str]:
         header = _bare(old)
         if old not in names and header not in headers:
             why = f" ('{old}' {source.left_out[old]})" if old in source.left_out else ""
-            raise DataError(f"{source.where}: rename: there is no column '{old}'{why}.{_listing(old, names)}")
+            known = isinstance(new, str) and (new in names or _bare(new) in headers)
+            turned = f" rename is {{column: name}}: {{{new!r}: {old!r}}}." if known else ""
+            raise DataError(f"{source.where}: rename: there is no column '{old}'{why}.{turned}{_listing(old, names)}")
         renamed[names.index(old) if old in names else headers.index(header)] = new
     seen: set[str] = set()
     for name in renamed:

@@ -104,6 +104,9 @@ def styled(more: Mapping[Any, Any] | None = None) -> Iterator[Any]:
     """Yield `matplotlib.pyplot`, which is imported here, with the common style in force, and ``more``."""
     import matplotlib.pyplot as plt
 
+    # This loads the backend. That of notebooks turns interactive drawing on when it is loaded, which the context would
+    # turn off again at its end: then only the first figure of a notebook would be shown.
+    plt.draw_if_interactive()  # type: ignore[no-untyped-call]
     with plt.rc_context({**STYLE, **(more or {})}):
         yield plt
 

@@ -417,7 +417,11 @@ def model_html(
 ) -> str:
     """Return the HTML of a model from its equations and its symbols by kind."""
     lines = [
-        ["state" if kind == "equation" else kind, equation(left, right, rate=kind == "equation", cut=_CUT)]
+        [
+            "state" if kind == "equation" else kind,
+            # A measured output is another quantity than the state of its name, as in the report.
+            equation(f"y_{left}" if kind == "output" else left, right, rate=kind == "equation", cut=_CUT),
+        ]
         for (kind, left), right in equations_of(core)
     ]
     rows = [[symbol, kind, units.get(symbol, ""), "", ""] for kind, names in symbols.items() for symbol in names]

@@ -494,7 +494,8 @@ class Model:
         symbols = {"states": self.state_names, "inputs": [n for n in self.input_names if not self.is_condition(n)]}
         symbols |= {"conditions": self.condition_names} if self.condition_names else {}
         symbols |= {"outputs": self.output_names, "parameters": self.parameter_names}
-        return ", ".join([*(f"{len(names)} {kind}" for kind, names in symbols.items()), *time_note(self._time_unit)])
+        counts = [f"{len(names)} {kind[:-1] if len(names) == 1 else kind}" for kind, names in symbols.items()]
+        return ", ".join([*counts, *time_note(self._time_unit)])
 
     def __str__(self) -> str:
         return model_text(self._core, self.condition_names, self._time_unit)

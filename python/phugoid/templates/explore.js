@@ -112,14 +112,15 @@ function explore(box, data) {
 
   function regimes() {
     const cell = add(box, "div", "map"), head = add(cell, "p", "head"), chosen = {};
-    add(head, "b", "", "Residual ");
-    for (const [kind, names, first, before] of [["r", data.residuals, data.first, ""], ["x", data.variables, data.over[0], " over "],
-      ["y", data.variables, data.over[1], " and "]]) {
-      if (before) head.append(before);
+    add(head, "b", "", "Residual");
+    for (const [kind, names, first, before] of [["r", data.residuals, data.first, " of "], ["x", data.variables, data.over[0], " over "],
+      ["y", data.variables, data.over[1], " (horizontal) and "]]) {
+      head.append(before);
       const select = chosen[kind] = add(head, "select", "");
       for (const name of names) select.add(new Option(name.slice(2), name, false, name === first));
       select.onchange = () => redraw();
     }
+    head.append(" (vertical)");
     const canvas = add(cell, "canvas", "square");
     add(cell, "p", "quiet", "Each point is a sample; blue where the residual is negative, orange where it is positive; its size grows to twice the "
       + "RMS. Samples that are not in view above are pale.");

@@ -27,13 +27,15 @@ def read_text(path: Path, columns: Sequence[str] | None, delimiter: str | None) 
     delimiter  None: found out from the file.
 
     Lines that begin with ``#`` or ``%`` are comments, and lines with fewer cells before the header are passed over. A
-    column of dates with times (ISO 8601) is one of ``datetime64``. DataError names the line of a row that has too many
-    or too few cells, and the line and the column of a cell that is not a number.
+    column of words, such as remarks, is left out; a column of dates with times (ISO 8601) is one of ``datetime64``.
+    DataError names the line of a row that has too many or too few cells, and the line and the column of a cell that is
+    not a number.
     """
     table = _parse(path, columns, delimiter)
     parts = zip(table.names, table.units, table.headers, strict=True)
     found = [Column(n, partial(_numbers, table, j), unit, header) for j, (n, unit, header) in enumerate(parts)]
-    return Source(table.file, stem(path), found)
+    left_out = {n: f"holds text ({cell!r})" for j, n in enumerate(table.names) if (cell := _remark(table, j))}
+    return Source(table.file, stem(path), [column for column in found if column.name not in left_out], left_out)
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,9 @@ class _Table:
 _MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
 # Numbers that stand for missing samples in many files; a column whose other values come near them may mean them.
 _FILLED, _NEAR = (-9999.0, -99999.0), 0.5
+# A number with a decimal comma, which is refused: it may separate thousands.
+_COMMA = re.compile(r"[+-]?\d+,\d+")
+_WORDS = re.compile(r"[^\W\d]")
 # A date and a time of ISO 8601, with seconds and an offset from UTC where they are given.
 _DATE = re.compile(
     r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d(?:[.,]\d{1,9})?)?)"  # date and time
@@ -178,7 +183,7 @@ def _join_unit(header: str) -> str:
 
 
 def _is_text(cell: str) -> bool:
-    if cell.lower() in _MISSING or _DATE.fullmatch(cell):
+    if cell.lower() in _MISSING or _DATE.fullmatch(cell) or _COMMA.fullmatch(cell):
         return False
     try:
         float(cell)
@@ -200,10 +205,9 @@ def _numbers(table: _Table, j: int, name: str) -> NDArray[Any]:
         try:
             values[i] = np.nan if cell.lower() in _MISSING else float(cell)
         except ValueError:
-            decimal = re.fullmatch(r"[+-]?\d+,\d+.*", cell)
             comma = (
-                " (a decimal comma? write points, or give ph.read(pandas.read_csv(..., decimal=',')))"
-                if decimal
+                " (a decimal comma? write points, or give ph.read(pandas.read_csv(..., sep=';', decimal=',')))"
+                if _COMMA.match(cell)
                 else ""
             )
             raise DataError(
@@ -212,6 +216,15 @@ def _numbers(table: _Table, j: int, name: str) -> NDArray[Any]:
                 "outputs=[...]"
             ) from None
     return _filled(table, name, values)
+
+
+def _remark(table: _Table, j: int) -> str:
+    """Return the first text of a column that holds words and missing cells alone, such as remarks; "" for any other."""
+    there = (cell for row in table.rows if (cell := row[j]).lower() not in _MISSING)
+    first = next(there, "")
+    if not _WORDS.match(first) or not _is_text(first):
+        return ""
+    return first if all(_WORDS.match(cell) and _is_text(cell) for cell in there) else ""
 
 
 def _moment(table: _Table, i: int, name: str, cell: str) -> np.datetime64:

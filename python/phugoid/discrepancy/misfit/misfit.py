@@ -301,5 +301,5 @@ def _draw_regime(axis: Axes, c: ChannelMisfit) -> None:
     unit = time_unit_of(c.units).rate(unit) if name.endswith("'") else unit
     axis.set_xlabel(plain(labelled(name, {name: unit})), labelpad=1.0)
     clear = c.regime is not None or (c.follows is not None and c.follows.variable == name)
-    axis.set_title(plain(f"mean over {name}{'' if clear else ' (chance?)'}"), fontsize=7.5)
+    axis.set_title(plain(f"mean over {name}{'' if clear else ' (not significant)'}"), fontsize=7.5)
     axis.locator_params(axis="x", nbins=5)

@@ -214,7 +214,7 @@ def finding_lines(finding: Finding) -> list[str]:
 def _explained_in_words(finding: Finding) -> str:
     """Return what a finding explains in free simulation."""
     low, high = finding.explained_interval
-    text = f"Explains {_share(finding.explained)} of the misfit in free simulation of data held out"
+    text = f"Explains {_share(finding.explained)} of the misfit in free simulation of {finding.explained_in}"
     if math.isfinite(low) and math.isfinite(high):
         text += f" (95 %: {_share(low)} to {_share(high)}"
         low, high = finding.explained_another
@@ -329,6 +329,7 @@ def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
         evidence=_evidence(diagnosis) if diagnosis.ranking else None,
         extended=extension is not None,
         open=_open(diagnosis),
+        notes=list(diagnosis.notes),
         sources=sources(fit.records, known),
         **more,
     )
@@ -459,12 +460,18 @@ def _open(diagnosis: Any) -> list[str]:
     for f in findings:
         if f.cause and f.aliases:
             texts.append(f"Which of {', '.join([f.cause, *f.aliases])} it is, these data do not show. {f.advice}")
-    return [*texts, *diagnosis.notes]
+    if not texts and outcome(diagnosis) == "unexplained":
+        texts.append("What causes the structure of the residuals is not established.")
+    return texts
 
 
 def _tried(diagnosis: DiagnosisResult) -> str:
     n = len(diagnosis.ranking)
-    return f"{n} candidates, threshold {diagnosis.threshold:.1f} in twice the log-likelihood" if n else "no candidates"
+    return (
+        f"{n} candidates ranked, threshold {diagnosis.threshold:.1f} in twice the log-likelihood"
+        if n
+        else "no candidates"
+    )
 
 
 def _has(model: Model, name: str) -> bool:

@@ -33,9 +33,10 @@ _BARS = 12
 
 def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
     """Return the figures of `Diagnosis.plot`; see there."""
-    figures = [diagnosis.misfit.plot()[0]]
+    figures = []  # as they are made, so they are shown in a notebook
     if any(np.isfinite(f.explained) for f in diagnosis.findings):
-        figures.insert(0, explained_figure(diagnosis.findings)[0])
+        figures.append(explained_figure(diagnosis.findings)[0])
+    figures.append(diagnosis.misfit.plot()[0])
     figures += [curve_figure(f, diagnosis.fit.model.time_unit)[0] for f in diagnosis.findings if f.curve]
     if diagnosis.ranking:
         figures.append(ranking_figure(diagnosis.ranking, diagnosis.threshold)[0])
@@ -56,7 +57,8 @@ def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axe
     """Return what findings explain of the misfit in free simulation of data held out, with 95 % intervals; rivals
     beneath, and beside it by how much the mean square of each output falls.
 
-    Named causes are dark, minor findings and surrogates pale. Returns the figure and the axes by ``"explained"`` and
+    Named causes are dark, minor findings and surrogates pale. Hatched is what differs from record to record, which
+    explains a part of the misfit of the fitted records. Returns the figure and the axes by ``"explained"`` and
     ``"outputs"``. Raises DataError where no finding has a part that it explains.
     """
     shown = [f for f in findings if np.isfinite(f.explained)]
@@ -65,7 +67,7 @@ def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axe
     rivals = [[n for n in f.aliases if n in f.rivals_explained][:_RIVALS] for f in shown]
     outputs = list(dict.fromkeys(name for f in shown for name in f.explained_outputs))
     rows = sum(1 + len(each) for each in rivals)
-    with styled() as plt:
+    with styled({"hatch.linewidth": 0.6}) as plt:
         figure, (left, right) = plt.subplots(
             1,
             2,
@@ -77,13 +79,16 @@ def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axe
         row, labels = 0, []
         for f, others in zip(shown, rivals, strict=True):
             color = MODEL if f.status == "named" else "#B5CFE0"
-            left.barh(row, 100.0 * f.explained, 0.62, color=color)
+            fitted = f.explained_in == "the fitted records"
+            hatch = "////" if fitted else None
+            left.barh(row, 100.0 * f.explained, 0.62, color=color, hatch=hatch, edgecolor="white", linewidth=0.0)
             left.plot([100.0 * x for x in f.explained_interval], [row, row], color=RESIDUAL, linewidth=1.4)
             right.plot([0.0, 100.0], [row, row], color="#E5E5E5", linewidth=0.6, zorder=0)
             for k, name in enumerate(outputs):
                 right.plot(100.0 * f.explained_outputs.get(name, 0.0), row, "o", color=f"C{k}", ms=5.0)
             name = f.cause or next(iter(f.aliases), "?")
-            labels.append(f"{name} ({f.status})" if f.status != "named" else name)
+            remarks = [*([f.status] if f.status != "named" else []), *(["fitted records"] if fitted else [])]
+            labels.append(f"{name} ({', '.join(remarks)})" if remarks else name)
             for name in others:
                 row += 1
                 left.plot(100.0 * f.rivals_explained[name], row, "D", ms=4.0, mfc="white", mec=RESIDUAL, mew=0.9)
@@ -213,7 +218,7 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float) -> tuple[Figure,
     residuals taken as white, which mislead. Hatched are candidates with a remark: hard to tell from the parameters
     there. Returns the figure and the axes by ``"ranking"``. Raises DataError where there is none.
     """
-    from matplotlib.ticker import FuncFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     if not ranking:
         raise DataError("ranking_figure: there are no candidates")
@@ -237,8 +242,12 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float) -> tuple[Figure,
             axis.plot(scored.white, row, "o", ms=3.6, mfc="white", mec=RESIDUAL, mew=0.9)
         axis.axvline(threshold, color=MODEL, linewidth=1.1)
         axis.set_xscale("log")
-        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_xlim(left=low)
+        low, high = axis.get_xlim()
+        if high < 100.0 * low:  # less than two decades
+            axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.set_yticks(range(len(shown)), [plain(s.name) for s in shown])
         axis.tick_params(axis="y", length=0.0)
         axis.invert_yaxis()

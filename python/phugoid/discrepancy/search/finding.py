@@ -86,6 +86,8 @@ class Finding:
     explained      the part of the misfit that it explains beside the other findings, 1 for all, in free simulation of
                    data held out: only initial states and biases are estimated there. The misfit is the mean square of
                    the residuals of the model diagnosed, less that of their innovations. NaN where unexplained.
+    explained_in   the data of which ``explained`` is a part. What differs from record to record is estimated in each,
+                   and so explains a part of the misfit of the fitted records; all else is simulated in data held out.
     explained_interval   of 95 %, by a block bootstrap over time.
     explained_another    95 % prediction interval of that part on another record of the same kind and length.
     explained_outputs    output -> by how much its mean square falls, in parts of that of the model diagnosed.
@@ -111,6 +113,7 @@ class Finding:
     units: Mapping[str, str] = field(default_factory=dict)
     ringing: tuple[float, ...] = ()
     explained: float = math.nan
+    explained_in: Literal["data held out", "the fitted records"] = "data held out"
     explained_interval: tuple[float, float] = (math.nan, math.nan)
     explained_another: tuple[float, float] = (math.nan, math.nan)
     explained_outputs: Mapping[str, float] = field(default_factory=dict)

@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import joined
 from ...fit_result import FitResult
 from ...modelling.model import Model
+from ...parameters import plus_minus
 from ...time_unit import TimeUnit
 from ..candidates.candidate import Candidate
 from ..candidates.terms import where
@@ -286,7 +287,7 @@ def _first(listed: Sequence[str], noun: str) -> str:
 def finding_of_record_change(c: RecordChange) -> Finding:
     """Return a difference between records as it is told."""
     unit = f" {c.unit}" if c.unit else ""
-    listed = [f"{number(v, 4)} ± {number(e, 2)}{unit} in '{record}'" for record, (v, e) in c.values.items()]
+    listed = [f"{plus_minus(v, e)}{unit} in '{record}'" for record, (v, e) in c.values.items()]
     more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""
     if c.is_scale:
         turned = [f"'{record}'" for record, (v, _) in c.values.items() if v < _TURNED]
@@ -311,12 +312,13 @@ def finding_of_record_change(c: RecordChange) -> Finding:
         parameters={f"{c.place.name}[{record}]": value for record, value in c.values.items()},
         gain=c.gain,
         threshold=c.threshold,
-        explanation=(
-            f"{c.explanation}: {', '.join(listed[:_LISTED])}{more}; that explains "
-            f"{percent(min(c.explained.part, 1.0))} of the misfit of these records"
-        ),
+        explanation=f"{c.explanation}: {', '.join(listed[:_LISTED])}{more}",
         advice=advice,
         units={f"{c.place.name}[{record}]": c.unit for record in c.values},
+        explained=c.explained.part,
+        explained_in="the fitted records",
+        explained_interval=c.explained.interval,
+        explained_outputs=dict(c.explained.outputs),
     )
 
 

@@ -86,12 +86,10 @@ impl Estimation<'_> {
     }
 
     /// Estimates again on a finer mesh along the motion where the model integrated with the estimates has another
-    /// log-likelihood than the path, or a log-likelihood where the path is no solution, and the mesh is one that may be refined.
+    /// log-likelihood than the path, and the mesh is one that may be refined.
     pub(super) fn refine_along_the_motion(&self, fit: &mut Fit, watch: &mut Watch<'_>) -> Result<(), Error> {
         let Some(integrated) = fit.integrated else { return Ok(()) };
-        // A path that is no solution has no log-likelihood.
-        let no_solution = !fit.feasible && integrated.is_finite();
-        let differs = no_solution || (integrated - fit.log_likelihood).abs() > DIFFERENT;
+        let differs = (integrated - fit.log_likelihood).abs() > DIFFERENT;
         let may_refine = self.refine.is_some() || self.follows_motion();
         if !differs || !may_refine || fit.status.was_stopped() || current().stops() {
             return Ok(());

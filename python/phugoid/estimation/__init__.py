@@ -61,11 +61,8 @@ def estimate(
     say so.
 
     Where a run by `Collocation` with `Newton` ends without an optimum, or at one at which no output is matched well
-    (R² below 0.5), other ways from the same start are tried in turn: where outputs are densely sampled, estimates with
-    output injection (states are driven towards the measurements, with a gain that falls to zero), a regression on the
-    initial paths of the states, steps along paths that satisfy the equations, and the exact Hessian. The first one is
-    also tried where the residuals of a single output with such an R² are a motion and not noise. The message says
-    which one led to the result.
+    (R² below 0.5), other ways from the same start are tried in turn: a regression on the initial paths of the states,
+    steps along paths that satisfy the equations, and the exact Hessian. The message says which one led to the result.
     A fit without ``solver`` and ``start`` is tried with the noise held at the spread of the measurements first, too;
     a warning says where the likelihood was higher before. ``max_iterations`` below 200 leaves all this out.
 

@@ -25,9 +25,6 @@ use crate::solver::Settings;
 const DENSE: usize = 20;
 /// Where the coefficient of determination of such an output is below this, much of it is unexplained.
 const EXPLAINED: f64 = 0.8;
-/// Residuals are a motion and not noise where the sum of squares of their differences from sample to sample is below this part
-/// of their own (von Neumann's ratio, 2 for white noise).
-const SMOOTH: f64 = 0.2;
 /// The first gain, in units of one over the sampling interval; smaller ones than the last are none.
 const FIRST: f64 = 1.0;
 const LAST: f64 = 0.02;
@@ -47,8 +44,6 @@ const FEW: usize = 4;
 const RAISED: f64 = 0.1;
 /// Most iterations on the last mesh of a run: the optimum at one gain need not be known exactly.
 const ITERATIONS: usize = 25;
-/// Most estimates with output injection on a mesh that is given.
-const ESTIMATES: usize = 40;
 
 /// What a model and its records need for output injection.
 pub(super) struct Injection {
@@ -127,63 +122,6 @@ impl Estimation<'_> {
         Ok(())
     }
 
-    /// Returns the fit of the model as it is from the end of a path of estimates with falling gains, each of which begins with
-    /// the parameters and the path of states of the one before. None where the path does not lead to a higher log-likelihood than that
-    /// of a poor fit.
-    ///
-    /// The first estimate begins as the estimation does, or at the poor fit where that leads nowhere. On a densely sampled record a
-    /// mesh with a point at each sample suits all gains, and measurements keep the path of the states in place, so that one
-    /// estimate at each gain suffices.
-    pub(super) fn led_by_injection(&self, poor: &Fit, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
-        let Some(injection) = self.injection() else { return Ok(None) };
-        let Some(injected) = self.injected(&injection, FIRST) else { return Ok(None) };
-        let Injected { model, experiments } = &injected;
-        let begun = Estimation { model, experiments, ..self.clone() };
-        let loss = LOSS * injection.values as f64;
-        let least = if poor.feasible { poor.log_likelihood } else { f64::NEG_INFINITY };
-        // Else it predicts no better over so short a time than the model without injection does at all.
-        let is_better = |fit: &Fit| fit.feasible && fit.log_likelihood >= least + loss;
-        let mut first = begun.solve_on_mesh(watch);
-        if !first.as_ref().is_ok_and(&is_better) && !current().stops() {
-            first = begun.going_on_from(poor).solve_on_mesh(watch);
-        }
-        let first = first?;
-        if !is_better(&first) {
-            return Ok(None);
-        }
-        let (mut fit, mut gain, mut factor) = (first, FIRST, FACTOR);
-        for _ in 0..ESTIMATES {
-            if fit.status.was_stopped() || current().stops() {
-                return Ok(None);
-            }
-            let next = factor * gain;
-            if next <= LAST {
-                let mut end = self.going_on_from(&fit).solve_refined(watch)?;
-                end.iterations += fit.iterations;
-                end.solution.time += fit.solution.time;
-                return Ok(Some(end));
-            }
-            let Some(injected) = self.injected(&injection, next) else { return Ok(None) };
-            let mut found = self.within(&injected).going_on_from(&fit).solve_on_mesh(watch)?;
-            found.iterations += fit.iterations;
-            found.solution.time += fit.solution.time;
-            let close = found.feasible && found.log_likelihood >= fit.log_likelihood - loss;
-            if close || found.feasible && factor > SHORT {
-                if found.log_likelihood < least {
-                    return Ok(None);
-                }
-                (fit, gain) = (found, next);
-                factor = (factor * factor.sqrt()).clamp(LEAST, FACTOR);
-            } else if factor > SHORT {
-                return Ok(None);
-            } else {
-                (fit.iterations, fit.solution.time) = (found.iterations, found.solution.time);
-                factor = factor.sqrt();
-            }
-        }
-        Ok(None)
-    }
-
     /// The estimation of a model with injected outputs.
     fn within<'b>(&'b self, injected: &'b Injected) -> Estimation<'b> {
         let max_iterations = self.solver.max_iterations.min(ITERATIONS);
@@ -257,36 +195,25 @@ impl Estimation<'_> {
     /// sampling interval, and the records with these measurements as held inputs. None where a name is taken.
     ///
     /// The output error e of an output g enters each state in proportion to ∂g/∂x: by K e ∂g/∂x / |∂g/∂x|², so that it
-    /// decays by itself as K. A state that an output measures by itself follows that output alone.
+    /// decays by itself as K.
     fn injected(&self, injection: &Injection, gain: f64) -> Option<Injected> {
         let (mut model, mut experiments) = (self.model.clone(), self.experiments.to_vec());
         if gain == 0.0 {
             return Some(Injected { model, experiments });
         }
         let (_, outputs) = self.model.expanded();
-        let states = &self.model.states;
-        let slopes_of = |c: usize| -> Vec<(&str, Expr)> {
-            let slopes = states.iter().map(|s| (s.name.as_str(), outputs[c].derivative(&s.name)));
-            slopes.filter(|(_, d)| d.as_constant() != Some(0.0)).collect()
-        };
-        // Others with an influence on such a state tell no more of it, and may lose their slope, as lift does in a stall.
-        let measured_alone = |c: usize| match &slopes_of(c)[..] {
-            [(state, slope)] if slope.as_constant().is_some() => Some(*state),
-            _ => None,
-        };
-        let followed: Vec<&str> = injection.outputs.iter().filter_map(|o| measured_alone(o.0)).collect();
         for &(c, interval) in &injection.outputs {
-            let mut slopes = slopes_of(c);
-            if measured_alone(c).is_none() {
-                slopes.retain(|(state, _)| !followed.contains(state));
-            }
-            if slopes.is_empty() {
-                continue;
-            }
             let name = &self.model.outputs[c].name;
             let (measured, present) = (format!("measured_{name}"), format!("present_{name}"));
             let z = model.input(&measured, "").ok()?;
             let present = model.input(&present, "").ok()?;
+            let slopes: Vec<(&str, Expr)> = self
+                .model
+                .states
+                .iter()
+                .map(|s| (s.name.as_str(), outputs[c].derivative(&s.name)))
+                .filter(|(_, slope)| slope.as_constant() != Some(0.0))
+                .collect();
             let square = slopes.iter().map(|(_, d)| d * d).reduce(|sum, d| sum + d)?;
             let error = (gain / interval) * present * (z - &outputs[c]) / square;
             for (state, slope) in slopes {
@@ -300,20 +227,6 @@ impl Estimation<'_> {
 }
 
 impl Injection {
-    /// Returns whether a densely sampled output is matched poorly, with residuals that are a motion and not noise.
-    pub fn misses_motion(&self, fit: &Fit) -> bool {
-        let is_smooth = |c: usize| {
-            let (mut differences, mut squares) = (0.0, 0.0);
-            for record in &fit.records {
-                let there: Vec<f64> = record.residuals[c].iter().copied().filter(|r| r.is_finite()).collect();
-                squares += there.iter().map(|r| r * r).sum::<f64>();
-                differences += there.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum::<f64>();
-            }
-            differences < SMOOTH * squares
-        };
-        fit.feasible && self.outputs.iter().any(|(c, _)| fit.matches_poorly(*c) && is_smooth(*c))
-    }
-
     /// Whether much of a densely sampled output is unexplained.
     pub fn may_improve(&self, fit: &Fit) -> bool {
         self.outputs.iter().any(|(c, _)| !fit.feasible || fit.r_squared(*c).is_some_and(|r| r < EXPLAINED))

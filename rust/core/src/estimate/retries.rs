@@ -13,28 +13,25 @@ use crate::solver::{Settings, Status};
 /// An end that is less likely than another by more than this is another optimum, not rounding.
 const LESS: f64 = 1e-2;
 
-/// Where the coefficient of determination of an output is below this, it is not matched well; an optimum at which none is, is a poor
-/// one.
+/// Where the coefficient of determination of every output is below this, the optimum is a poor one.
 const POOR: f64 = 0.5;
 
 /// Another way to an optimum from the same start.
 #[derive(Clone, Copy)]
 enum Way {
-    OutputInjection,
     Regression,
     ConsistentPaths,
     ExactHessian,
 }
 
 impl Way {
-    const ALL: [Way; 4] = [Way::OutputInjection, Way::Regression, Way::ConsistentPaths, Way::ExactHessian];
+    const ALL: [Way; 3] = [Way::Regression, Way::ConsistentPaths, Way::ExactHessian];
 
     fn description(self) -> &'static str {
         match self {
             Way::Regression => "a regression on the initial paths of the states",
             Way::ConsistentPaths => "steps along paths that satisfy the equations",
             Way::ExactHessian => "steps with the exact Hessian",
-            Way::OutputInjection => "estimates with output injection, whose gain falls to zero",
         }
     }
 }
@@ -53,23 +50,20 @@ impl Estimation<'_> {
         }
         let ended = fit.status;
         for way in Way::ALL {
-            if fit.status.was_stopped() || current().stops() {
+            if !fit.is_poor() || fit.status.was_stopped() || current().stops() {
                 break;
             }
-            if !self.is_needed(way, &fit) {
-                continue;
-            }
-            let Some(mut other) = self.end_of(way, &fit, watch)? else { continue };
+            let Some(other) = self.by(way) else { continue };
+            let mut other = match other.solve_refined(watch) {
+                Err(e) if e.kind() == ErrorKind::Evaluation => continue,
+                found => found?,
+            };
             other.iterations += fit.iterations;
             other.solution.time += fit.solution.time;
             let better = !other.log_likelihood.is_nan()
                 && (fit.log_likelihood.is_nan() || other.log_likelihood > fit.log_likelihood + LESS);
             if better && (other.status.is_end() || !fit.status.is_end()) {
-                let why = match way {
-                    _ if !ended.is_end() => "reach no optimum",
-                    Way::OutputInjection => "leave the motion of an output unexplained",
-                    _ => "match no output well",
-                };
+                let why = if ended.is_end() { "match no output well" } else { "reach no optimum" };
                 other.message = format!(
                     "{}; reached after {}, since the iterations from the start values {why}",
                     other.message,
@@ -84,26 +78,6 @@ impl Estimation<'_> {
             }
         }
         Ok(fit)
-    }
-
-    /// Returns whether a fit is so poor that another way is tried. One with output injection finds the motion of an output that a
-    /// local optimum misses, also where others are matched.
-    fn is_needed(&self, way: Way, fit: &Fit) -> bool {
-        let misses = || self.injection().is_some_and(|injection| injection.misses_motion(fit));
-        fit.is_poor() || matches!(way, Way::OutputInjection) && misses()
-    }
-
-    /// Returns the end of another way than that of a fit; `None` where there is no such way, or it leads nowhere.
-    fn end_of(&self, way: Way, fit: &Fit, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
-        let found = match self.by(way) {
-            Some(other) => other.solve_refined(watch).map(Some),
-            None if matches!(way, Way::OutputInjection) => self.led_by_injection(fit, watch),
-            None => Ok(None),
-        };
-        match found {
-            Err(e) if e.kind() == ErrorKind::Evaluation => Ok(None),
-            found => found,
-        }
     }
 
     /// Whether another way may lead elsewhere: not from where a fit ended, where kinks are the reason, where a search from many
@@ -182,11 +156,6 @@ impl Fit {
     fn is_poor(&self) -> bool {
         !self.status.is_end()
             || (0..self.model.outputs.len()).all(|c| self.r_squared(c).is_none_or(|r| r < POOR))
-    }
-
-    /// Whether an output is not matched well.
-    pub(super) fn matches_poorly(&self, output: usize) -> bool {
-        self.r_squared(output).is_some_and(|r| r < POOR)
     }
 
     /// The coefficient of determination of an output, about the mean of each record.

@@ -359,10 +359,8 @@ def on_other_data(
     limit = max(_ELSEWHERE, _TIMES * fit.time)
     for start in starts:
         # From another model's path, or where only first states are wrong, few iterations lead to this model's.
-        # Where another model's path led nowhere, the last attempt is not worth more than a refit is.
         few = best is not None or start is not starts[-1]
-        most = _ITERATIONS if few else _PATIENT if near is not None else None
-        solver = Newton(time_limit=limit) if most is None else Newton(max_iterations=most, time_limit=limit)
+        solver = Newton(max_iterations=_ITERATIONS, time_limit=limit) if few else Newton(time_limit=limit)
         try:
             found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)
         except EvaluationError as error:  # a root of a level that noise takes below zero, say

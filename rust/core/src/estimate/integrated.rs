@@ -75,16 +75,6 @@ impl Estimation<'_> {
         }
     }
 
-    /// Returns whether the integrated model has the log-likelihood of the path, where the parameters tell the motion.
-    ///
-    /// The error of a segment is estimated through its linearised equations, which says nothing of a segment far longer than
-    /// the motion takes, as in a rest before a record.
-    pub(super) fn is_confirmed_by_integration(&self, fit: &Fit) -> bool {
-        self.parameters_tell_motion()
-            && self.model.delays.is_empty()
-            && self.integrated_log_likelihood(fit).is_ok_and(|l| (l - fit.log_likelihood).abs() <= DIFFERENT)
-    }
-
     /// Estimates again on a finer mesh along the motion where the model integrated with the estimates has another
     /// log-likelihood than the path, and the mesh is one that may be refined.
     pub(super) fn refine_along_the_motion(&self, fit: &mut Fit, watch: &mut Watch<'_>) -> Result<(), Error> {

@@ -103,8 +103,7 @@ impl Estimation<'_> {
             _ => {
                 let mut fit = self.solve_on_mesh(watch)?;
                 if fit.feasible && !fit.status.was_stopped() && !current().stops() {
-                    let coarse = fit.coarse_mesh_warning(self.experiments);
-                    fit.warnings.extend(coarse.filter(|_| !self.is_confirmed_by_integration(&fit)));
+                    fit.warnings.extend(fit.coarse_mesh_warning(self.experiments));
                 }
                 Ok(fit)
             }

@@ -51,7 +51,7 @@ def lagging(seed: int) -> ph.Experiment:
 
 
 def test_dynamics_that_answer_the_inputs_are_not_called_gusts() -> None:
-    """Where no candidate has a state of its own, the filter-error method follows what the missing one does."""
+    """Leave out all candidates with a state of their own: the filter-error method follows what the missing one does."""
     fit = ph.estimate(model(), lagging(2))
     with_states = ["lag", "delay", "variation", "step", "drift", "mode", "periodic"]
     known = ph.candidates(fit.model, leave_out=with_states)

@@ -7,17 +7,18 @@ with a disturbance at each place of the model (`disturbance`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...frozen_model import freed_by_default
-from ...sensitivities import Place
+from ...sensitivities import Place, Points
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.whitened import Whitened
 from ..candidates.candidate import Candidate, Effect, is_function
+from ..candidates.scales import lagged
 from . import Search, SearchResult
 from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of, powers_of
 from .free_run import LEAST, Explained, Misfitting, Simulated
@@ -359,23 +360,21 @@ _SHIFTS, _CHANCE, _SURELY = 40, 0.95, 0.7
 _INDEPENDENT = 20.0
 
 
+def _over_records(linear: Linearised, of: Disturbance) -> list[tuple[Points, _Array]]:
+    """Return each record with the times of a time history in it."""
+    return list(zip(linear.points, np.split(of.knots, np.cumsum(of.counts)[:-1]), strict=True))
+
+
 def _goes_with_motion(linear: Linearised, of: Disturbance) -> float:
     """Return the correlation of a time history with what it was when the fitted motion was nearly the same at another
     time, 0 where it is so by chance: about 0 for gusts, which do not know of the path that the model simulates without
     them."""
-    columns, record = [], []
-    first = 0
-    for e, p in enumerate(linear.points):
-        n = of.counts[e]
-        at = of.knots[first : first + n]
-        names = [*linear.model.state_names, *linear.model.declared_inputs]
-        columns.append(np.stack([np.interp(at, p.t, p.values[name]) for name in names]))
-        record.append(np.full(n, e))
-        first += n
-    x = np.hstack(columns)
+    names = [*linear.model.state_names, *linear.model.declared_inputs]
+    each = _over_records(linear, of)
+    x = np.hstack([np.stack([np.interp(at, p.t, p.values[name]) for name in names]) for p, at in each])
     spread = x.std(axis=1)
     x = x[spread > 0.0] / spread[spread > 0.0, None]
-    where = np.concatenate(record)
+    where = np.repeat(np.arange(len(each)), of.counts)
     distance = np.sum((x[:, :, None] - x[:, None, :]) ** 2, axis=0)
     index = np.arange(of.knots.size)
     same = (where[:, None] == where) & (np.abs(index[:, None] - index) < max(_PASS * index.size, 3.0))
@@ -409,14 +408,12 @@ def _predicted_by_inputs(linear: Linearised, of: Disturbance) -> float:
     left out in turn, at least 0: noise does not know of the inputs, unmodelled dynamics answer them (the test of
     independence between residuals and past inputs, Ljung 1999, section 16.6)."""
     names = [n for n in linear.model.declared_inputs if any(np.ptp(p.values[n]) > 0.0 for p in linear.points)]
-    columns, blocks, first = [], [], 0
-    for e, p in enumerate(linear.points):
-        at = of.knots[first : first + of.counts[e]]
-        first += of.counts[e]
+    columns, blocks = [], []
+    for p, at in _over_records(linear, of):
         duration = float(p.t[-1] - p.t[0])
         taus = np.geomspace(_QUICK * of.step, max(_SLOW * duration, 2.0 * of.step), _LAGS)
-        lagged = [np.interp(at, p.t, z) for n in names for z in (p.values[n], *_lagged(p.t, p.values[n], taus))]
-        columns.append(np.stack([np.ones(at.size), *lagged]))
+        signals = [z for n in names for z in (p.values[n], *(lagged(p.t, p.values[n], tau) for tau in taus))]
+        columns.append(np.stack([np.ones(at.size), *(np.interp(at, p.t, z) for z in signals)]))
         blocks.append(np.minimum((_BLOCKS * (at - p.t[0]) / duration).astype(int), _BLOCKS - 1))
     x, block, y = np.hstack(columns).T, np.concatenate(blocks), of.values
     if not names or y.size <= 2 * x.shape[1] or not y.any():
@@ -431,13 +428,3 @@ def _predicted_by_inputs(linear: Linearised, of: Disturbance) -> float:
             error[~rest] = y[~rest] - x[~rest] @ np.linalg.solve(normal, x[rest].T @ y[rest])
         least = min(least, float(error @ error))
     return 1.0 - least / float(y @ y)
-
-
-def _lagged(t: _Array, u: _Array, taus: _Array) -> Iterable[_Array]:
-    """Return what a signal (n,) is after first-order lags, from rest."""
-    for tau in taus:
-        keep = np.exp(-np.diff(t, prepend=t[0]) / tau).tolist()
-        z, now = np.empty(u.size), float(u[0])
-        for k, (a, value) in enumerate(zip(keep, u.tolist(), strict=True)):
-            z[k] = now = a * now + (1.0 - a) * value
-        yield z

@@ -14,7 +14,6 @@ import numpy as np
 
 from ...errors import PhugoidError
 from ...fit_result import dataset
-from ...frozen_model import freed_by_default
 from ..candidates.candidate import Candidate
 from . import Search, SearchResult
 from .disturbance import Disturbances
@@ -249,7 +248,7 @@ def _with_record_changes(state: Inquiry) -> Inquiry:
     base, changes = record_changes(search, state.result)
     if base is None:
         return state
-    free = freed_by_default(cache.base.fit.model) if cache.biases is None else cache.biases
+    free = cache.estimated_again(cache.base)
     # What is left beside them is part of the misfit of the model that was diagnosed.
     diagnosed = cache.diagnosed or (cache.base, cache.on_validation(cache.base))
     again = search.on(base, biases=[*free, *(c.parameter for c in changes)], diagnosed=diagnosed)

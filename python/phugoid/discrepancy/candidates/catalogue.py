@@ -26,7 +26,7 @@ from .channel_effects import (
 )
 from .factors import HOW, EquationScale, FactorLaw, ParameterLaw, SaturatingRate
 from .hysteresis import FlexibleMode, Hysteresis, Stribeck
-from .limits import Backlash, EndStop, LimitedForce, RateLimit, StateLimit
+from .limits import Backlash, EndStop, LimitedForce, Overflow, RateLimit, StateLimit
 from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable
 from .scales import Scales, output_key
 from .terms import FORMS, Jump, LaggedVariable, ParameterDrift, Periodic, Rate, Ripple, Term, where
@@ -335,9 +335,13 @@ class Catalogue:
                 )
             elif x in places and units.get(x, "") not in ANGLES and not self.structure.moves(x):
                 words = f"{x} stops at a limit (overflow, a store that is full or empty)"
-                yield StateLimit(
-                    f"{x}:limit", Place("equation", x), words, "limit", self.scales, (), (limit,), variables=(x,)
-                )
+                at = Place("equation", x)
+                yield StateLimit(f"{x}:limit", at, words, "limit", self.scales, (), (limit,), variables=(x,))
+                for z in self.structure.fed_by(x):
+                    words = f"{x} stops at a limit (a store that is full), and a part of what comes further goes to {z}"
+                    shape = self.names(f"level_of_{x}_over_{z}"), self.names(f"part_of_{x}_to_{z}")
+                    name = f"{x}:overflow_{z}"
+                    yield Overflow(name, at, words, "limit", self.scales, (), shape, variables=(x,), into=z)
 
     def _in_output(self, place: Place) -> Iterator[Effect]:
         shown, y = self.structure.shown(place), place.name

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...functions import smooth_abs, smooth_step, tanh
 from ...modelling.model import Model
-from ...sensitivities import Points
+from ...sensitivities import Place, Points
 from .candidate import Candidate, Effect, ExtensionBuilder
 from .channel_effects import channel, cut_off
 from .scales import evaluated, of, output_key, rate_key
 
-__all__ = ["Backlash", "EndStop", "LimitedForce", "RateLimit", "StateLimit"]
+__all__ = ["Backlash", "EndStop", "LimitedForce", "Overflow", "RateLimit", "StateLimit"]
 
 
 _Array = NDArray[np.float64]
@@ -42,6 +42,10 @@ _LOSS, _LITTLE, _PUSH = 200.0, 0.002, 0.05
 # next to it; of fewer samples nothing is said. Oscillations crowd where they turn, but at both ends: times as many as
 # at the other.
 _CROWDED, _OFTEN, _MORE, _RESTS, _FEW = 0.04, 0.06, 1.5, 3.0, 40
+
+
+# Part of an overflow that another store gets, at which the search begins, and at most: stores differ in their areas.
+_PART, _MOST = 0.5, 5.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -142,11 +146,33 @@ class StateLimit(_StateEffect):
         extension = ExtensionBuilder(model, self, start)
         limit, side = self._limit(extension)
         rate = extension.at(self.place)
-        extension.put(self.place, rate + self._change(rate, limit, side))
+        self._add(extension, self._change(rate, limit, side))
         return extension.model()
+
+    def _add(self, extension: ExtensionBuilder, change: Expr) -> None:
+        """Add the change of the rate to the equations."""
+        extension.put(self.place, extension.at(self.place) + change)
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         return {self.shape_names[0]: self._reached(points)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Overflow(StateLimit):
+    """A store that is full, of which a part of what comes further flows into another store (the lower of two tanks).
+
+    into  the state that gets that part, per unit of what the full store does not take.
+    """
+
+    into: str = ""
+
+    def _add(self, extension: ExtensionBuilder, change: Expr) -> None:
+        super()._add(extension, change)
+        part = extension.parameter(self.shape_names[1], _PART, bounds=(0.0, _MOST))
+        extension.add(Place("equation", self.into), -part * change)
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        return {**super().physical(points), self.shape_names[1]: (0.0, _MOST)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -224,6 +224,13 @@ class ModelStructure:
         tried = [start | {n: random.uniform(-_RANGE, _RANGE) for n in others} for _ in range(_TRIED)]
         return all(e.evaluate(at) > 0.0 for at in tried)
 
+    def fed_by(self, name: str) -> list[str]:
+        """Return the states that an equation of their own with parameters gives, and on which the state acts at once,
+        as the flow out of a store does on the next one."""
+        places = {place.name for place in self.places if place.kind == "equation"}
+        full = {x: Expr(e.substitute(self.quantities)) for x, e in self.dynamics.items() if x in places and x != name}
+        return [x for x, e in full.items() if name in e.symbols]
+
     def turns_freely(self, name: str) -> bool:
         """Tell whether a state is an angle of which sines or cosines are taken, as of an attitude or of a pendulum."""
         groups = (self.quantities, self.dynamics, self.outputs)

@@ -186,7 +186,7 @@ class Screen:
             if candidate.name not in names and not hopeless[i]:
                 names[candidate.name] = candidate
                 self._cache.remember(candidate, shape, statistics["base"].amplitudes[i])
-        measured = {n: [r.measured[n] for r in at.fit.records] for n in at.linear.model.output_names}
+        measured = self._measured(at)
         for c in self._cache.candidates:
             suggested = c.suggested(measured) if c.name not in {*names, *at.names} else None
             if suggested is not None:
@@ -198,6 +198,17 @@ class Screen:
                 names[c.name] = c
                 self._cache.start_as_proposed(c.name)
         return list(names.values())
+
+    @staticmethod
+    def _measured(at: Refit) -> dict[str, list[_Array]]:
+        """Return samples of each experiment by output, and by the state that an output shows alone."""
+        model = at.linear.model
+        measured = {n: [r.measured[n] for r in at.fit.records] for n in model.output_names}
+        for (kind, output), e in model._right_hand_sides().items():
+            for x in model.state_names if kind == "output" else ():
+                if e == Expr.symbol(x):
+                    measured.setdefault(x, measured[output])
+        return measured
 
     def plainest(self, at: Refit) -> list[Candidate]:
         """Return those that explain most with residuals taken as white, of those that other data have, too, and that

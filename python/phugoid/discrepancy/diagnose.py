@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
@@ -37,7 +37,7 @@ from .search.other_laws import other_laws, words_of_laws
 from .search.parts import Parts, parts_of
 from .search.refit import Refit, is_structured
 from .search.remainder import RemainderSettings
-from .search.restart import Restart, restarted, with_optimum
+from .search.restart import Restart, of_shared_terms, restarted, with_optimum
 from .search.scan import Scan
 from .search.segments import Segments, Thinned, segments_of, thinned
 from .search.sensor_fault import SensorFault, UnsignedSensor, sensor_faults, unsigned_sensor, without_faults
@@ -117,6 +117,9 @@ def diagnose(
     check_fit(fit)
     others = validation_given(fit, validation)
     free = freed(fit, others, biases)
+    declared = {*fit.model.quantity_names}
+    if candidates is None or isinstance(candidates, Mapping):
+        fit = _within(deadline, partial(of_shared_terms, fit), fit)
     records = _prepared(fit, others, deadline)
     if records.base is None:
         assert records.restart is not None
@@ -147,7 +150,10 @@ def diagnose(
             state = Inquiry.begun(search).after(stages(about, differ))
         reported = _reported(records, state, deadline)
     with interrupts():
-        notes = _all_notes(records, state, reported, listed, free, unfitted)
+        notes = (
+            *_notes_of_shared_terms(fit.model, declared),
+            *_all_notes(records, state, reported, listed, free, unfitted),
+        )
         # An input that is held is a finding; one that was sampled slowly is none, nor what comes of it.
         corrected = state.sampled is not None or any(b.kind == "cubic" for b in state.inputs)
         whole = records.parts.whole.fit if records.parts is not None else records.fit
@@ -368,6 +374,12 @@ def _all_notes(
         *words_of_inputs(state.inputs, state.sampled, final.fit.model.time_unit),
         *(each.note for each in (records.segments, records.parts, records.thin) if each is not None),
     )
+
+
+def _notes_of_shared_terms(model: Model, declared: Collection[str]) -> list[str]:
+    """Return what the quantities stand for that were declared for the search."""
+    added = [f"{n} = {e}" for n, e in model.quantity_expressions().items() if n not in declared]
+    return [f"Quantities were declared for what equations share: {'; '.join(added)}."] if added else []
 
 
 def _shares(model: Model) -> bool:

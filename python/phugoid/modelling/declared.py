@@ -311,9 +311,11 @@ def rebuilt(
     inputs: Iterable[tuple[str, str]],
     declare: Callable[[_core.Model, Any], None],
     change: Callable[[Key, Expr], Expr] = lambda _, e: e,
+    quantities: Mapping[str, Expr] = {},
 ) -> _core.Model:
     """Return a model with the states of another, ``inputs`` as (name, unit), the parameters that ``declare`` declares
-    for each of its own, and its equations, keyed as by `equations_of`, passed through ``change``."""
+    for each of its own, ``quantities`` after its own, and its equations, keyed as by `equations_of`, passed through
+    ``change``."""
     core = _core.Model(old.name)
     for declared_state in old.declared_states:
         core.state(*declared_state)
@@ -323,6 +325,8 @@ def rebuilt(
         declare(core, declared)
     for name, e, _, source in old.quantities:
         core.quantity(name, change(("quantity", name), e), source)
+    for name, e in quantities.items():
+        core.quantity(name, e, None)
     for name, e, _, source in old.dynamics:
         core.equation(name, change(("equation", name), e), source)
     for name, e, unit, source in old.outputs:
@@ -359,8 +363,10 @@ def changed(
     inputs: Mapping[str, str],
     outputs: Mapping[str, Expr],
     states: Mapping[str, tuple[str, Expr, Expr | None]],
+    quantities: Mapping[str, Expr] = {},
 ) -> _core.Model:
-    """Return a model with some parameters and equations replaced, and new ones, inputs, outputs and states added."""
+    """Return a model with some parameters and equations replaced, and new ones, inputs, outputs, states and quantities
+    added."""
 
     def declare(core: _core.Model, declared: Any) -> None:
         if declared[0] in parameters:
@@ -368,7 +374,7 @@ def changed(
         else:
             core.parameter(*declared)
 
-    core = rebuilt(old, [*old.inputs, *inputs.items()], declare, lambda key, e: equations.get(key, e))
+    core = rebuilt(old, [*old.inputs, *inputs.items()], declare, lambda key, e: equations.get(key, e), quantities)
     there = {name for name, *_ in old.parameters}
     for name, p in parameters.items():
         if name not in there:

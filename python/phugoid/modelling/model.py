@@ -446,13 +446,14 @@ class Model:
         outputs: Mapping[str, Expr] = {},
         states: Mapping[str, tuple[str, Expr, Expr | None]] = {},
         delays: Delays | None = None,
+        quantities: Mapping[str, Expr] = {},
     ) -> Model:
         """Return the model with parameters and equations replaced or added, and other delays.
 
         ``equations`` are keyed as in `equations_of`; new ``states`` are unit, right-hand side and initial value, None
-        for any; ``inputs`` are units.
+        for any; ``inputs`` are units; ``quantities`` are new ones of states and inputs.
         """
-        core = changed(self._core, parameters, equations, inputs, outputs, states)
+        core = changed(self._core, parameters, equations, inputs, outputs, states, quantities)
         return self._around(core, self._delays if delays is None else delays)
 
     def _right_hand_sides(self) -> dict[Key, Expr]:

@@ -12,6 +12,7 @@ import numpy as np
 from ..._core import Expr
 from ...modelling.model import Model
 from ...sensitivities import Place
+from .shared_terms import is_shared_term
 
 __all__ = ["ANGLES", "LENGTHS", "TURN", "ModelStructure", "Variable", "addends"]
 
@@ -52,6 +53,8 @@ class ModelStructure:
     parameters stand in it, and no quantity that is a place: else its terms belong to the quantity. Equations without
     either are exact kinematics (theta' = q).
 
+    Terms that were declared because equations share them (`with_shared_terms`) take no place from these.
+
     With ``every_equation`` all state equations are places that hold parameters or quantities that do. ``base`` is an
     earlier form of the model: states and quantities that it had not are nothing to doubt.
     """
@@ -74,7 +77,7 @@ class ModelStructure:
         equations = []
         for name, e in self.dynamics.items():
             own = bool(self._parameters.intersection(e.symbols))
-            through = {*e.symbols}.intersection(derived - ties)
+            through = {n for n in {*e.symbols}.intersection(derived - ties) if not is_shared_term(n)}
             if (every_equation and (own or through)) or (own and not through):
                 equations.append(name)
         self.places = [Place("quantity", name) for name in self.quantities if name in uncertain & known]

@@ -85,7 +85,7 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
     return Finding(
         cause=c.name,
         aliases=aliases,
-        status="surrogate" if stands_in or not plausible else "minor" if minor else "named",
+        status="surrogate" if stands_in or not (plausible or minor) else "minor" if minor else "named",
         coefficient=value,
         std_error=error,
         interval=(value - _INTERVAL * error, value + _INTERVAL * error),

@@ -15,14 +15,17 @@ from ...modelling.model import Model
 from ...solvers import HINTS, check_time
 from ...solvers.newton import Newton
 from ..candidates.candidate import Candidate
+from ..candidates.shared_terms import with_shared_terms
 from .refit import Refit, refit, values_of
 from .screen import complexity
 from .segments import Segments, fitted_to_segments
 
-__all__ = ["Restart", "restarted", "with_optimum"]
+__all__ = ["Restart", "of_shared_terms", "restarted", "with_optimum"]
 
 # Iterations and seconds of each estimation, beside as many times what the fit itself took.
 _ITERATIONS, _SECONDS, _TIMES = 400, 20.0, 5.0
+# Log-likelihoods of one optimum differ by less.
+_SAME = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +40,24 @@ class Restart:
     fit: FitResult | None
     words: str
     segments: Segments | None = None
+
+
+def of_shared_terms(fit: FitResult) -> FitResult:
+    """Return the fit of the same model with quantities declared for the terms that its equations share
+    (`with_shared_terms`), estimated from there; the fit itself where there is none, or no such estimate."""
+    model = with_shared_terms(fit.model)
+    if model is fit.model or fit.status not in ENDED_WELL:
+        return fit
+    check_time()
+    try:
+        again = estimate(model, dataset(fit), transcription=fit.transcription, noise=fit.noise, start=fit)
+    except (PhugoidError, np.linalg.LinAlgError):
+        return fit
+    if again.status == "interrupted":
+        raise KeyboardInterrupt
+    # The problem is the same: another optimum is not what was asked about.
+    same = abs(again.log_likelihood - fit.log_likelihood) < _SAME
+    return again if same and again.status in ENDED_WELL else fit
 
 
 def restarted(fit: FitResult, validation: Sequence[Experiment]) -> Restart:

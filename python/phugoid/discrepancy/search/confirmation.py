@@ -239,14 +239,24 @@ class Confirmation:
 
     def _is_progress(self, current: Refit, found: Refit) -> bool:
         """Tell whether a refit has more than the current one: what explains next to nothing displaces no earlier
-        finding, unless it explains most of what that leaves."""
+        finding, unless it explains most of what that leaves, or is likelier with plainer terms: a derivative of the
+        input and one of a rate act together like the input with a lag."""
         names, assess = {*current.names}, self._assessment
         if names <= {*found.names}:
             return len(found.names) > len(names)
+        if self._is_plainer(current, found) and found.merit > current.merit + self.settings.richer:
+            return True
         explained = assess.explained(current, found)
         if explained is not None and explained.significant and explained.part > assess.settings.minor:
             return True
         return assess.explains_what_is_left(current, found)
+
+    @staticmethod
+    def _is_plainer(current: Refit, found: Refit) -> bool:
+        """Tell whether the terms that a refit has instead of those of another are plainer, with no more unknowns."""
+        new, gone = found.beside(current.candidates), current.beside(found.candidates)
+        unknowns = [sum(len(c.parameters) for c in terms) for terms in (new, gone)]
+        return unknowns[0] <= unknowns[1] and max(map(complexity, new)) < min(map(complexity, gone))
 
     def _behind(self, current: Refit, tries: Sequence[Refit]) -> Collection[tuple[str, ...]]:
         """Return the names of refits that simulate held-out data clearly worse than the best of them does."""

@@ -186,6 +186,9 @@ class Screen:
             if candidate.name not in names and not hopeless[i]:
                 names[candidate.name] = candidate
                 self._cache.remember(candidate, shape, statistics["base"].amplitudes[i])
+        if self._is_evident:
+            for c in self._limits(scan, statistics["clean"]):
+                names[c.name] = c
         measured = self._measured(at)
         for c in self._cache.candidates:
             suggested = c.suggested(measured) if c.name not in {*names, *at.names} else None
@@ -198,6 +201,18 @@ class Screen:
                 names[c.name] = c
                 self._cache.start_as_proposed(c.name)
         return list(names.values())
+
+    def _limits(self, scan: Scan, statistics: Statistics) -> list[Candidate]:
+        """Return the limits of states, whatever they gain to first order: where a state that is not measured goes far
+        beyond its limit, in a fit that does not know of it, that says little."""
+        best: dict[str, tuple[Candidate, int]] = {}
+        for i in np.argsort(-statistics.values):
+            candidate = scan.effects[i][0]
+            if isinstance(candidate, Effect) and candidate.family == "limit" and candidate.place.kind == "equation":
+                best.setdefault(candidate.name, (candidate, int(i)))
+        for candidate, i in best.values():
+            self._cache.remember(candidate, scan.effects[i][1], statistics.amplitudes[i])
+        return [c for c, _ in best.values()]
 
     @staticmethod
     def _measured(at: Refit) -> dict[str, list[_Array]]:

@@ -106,10 +106,12 @@ class Catalogue:
         difference of two angles."""
         for v in self.structure.exact_in_forces:
             place = Place("quantity", v.symbol)
-            for make, family in ((DeadBand, "deadband"), (Saturation, "saturation")):
-                words, shape = make.words.format(name=v.shown, about=""), (self.names(f"{family}_{v.shown}"),)
+            limited = DeadBand, partial(DeadBand, rate=self.structure.rate_of(v)), "deadband"
+            for kind, make, family in (limited, (Saturation, Saturation, "saturation")):
+                words, shape = kind.words.format(name=v.shown, about=""), (self.names(f"{family}_{v.shown}"),)
                 variables = (v.symbol,)
-                yield make(f"{v.shown}:{family}", place, words, family, self.scales, (), shape, variables=variables)
+                effect = make(f"{v.shown}:{family}", place, words, family, self.scales, (), shape, variables=variables)
+                yield effect.on(self.scales)
 
     def _of_the_medium(self) -> Iterator[Effect]:
         """Yield constants in the kinematics of positions: a wind or a current, which carries the vehicle along."""

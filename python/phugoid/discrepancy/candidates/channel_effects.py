@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...functions import smooth_abs
 from ...modelling.model import Model
-from ...sensitivities import Points
+from ...sensitivities import Place, Points
 from .candidate import Candidate, Effect, ExtensionBuilder, largest_coefficient, place_range
 from .scales import (
     Scales,
@@ -328,12 +328,20 @@ class _Limited(Effect):
     def centred(self) -> bool:
         return True
 
+    @property
+    def _rate(self) -> str:
+        """Return the name of the quantity that is the rate of what is limited, "" for none."""
+        return ""
+
     least = 0.0  # physical limit, of the greatest deflection
     words = ""  # with places for the input, and for the centre where that is another than its trim
 
     def on(self, scales: Scales) -> _Limited:
         name = self.place.name
         about = f" from {scales.centre(name):g}" if name in scales.moved else ""
+        if self.place.kind == "quantity" and scales.reaches_zero(name) and name not in scales.given | scales.moved:
+            # A difference that is sometimes zero is mostly measured from there, such as the twist of a shaft.
+            scales = replace(scales, trim={**scales.trim, name: 0.0})
         return replace(self, scales=scales, explanation=self.words.format(name=name, about=about))
 
     def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
@@ -375,6 +383,10 @@ class _Limited(Effect):
         if self.place.kind == "quantity":
             whole = extension.at(self.place)
             extension.put(self.place, whole + Expr(Expr(change).substitute({name: whole})))
+            if self._rate:
+                slope = Expr((Expr.symbol(name) + Expr(change)).diff(name)).substitute({name: whole})
+                place = Place("quantity", self._rate)
+                extension.put(place, Expr(slope) * extension.at(place))
         else:
             extension.replace_input(name, Expr.symbol(name) + change)
         return extension.model()
@@ -389,9 +401,22 @@ class _Limited(Effect):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeadBand(_Limited):
-    """Deflections within the (half) width about the trim do nothing, larger ones are less by it."""
+    """Deflections within the (half) width about the trim do nothing, larger ones are less by it.
 
+    rate  the quantity that is the rate of the deflection, "" for none: a gear within its play transmits no damping.
+    """
+
+    rate: str = ""
     stage: int = 1
+
+    @property
+    def _rate(self) -> str:
+        return self.rate
+
+    @property
+    def jumps(self) -> bool:
+        return bool(self.rate)
+
     words = "small deflections of {name}{about} have no effect (dead-band)"
 
     def grid(self) -> Iterable[float]:

@@ -30,6 +30,8 @@ _SINES, _JUMPS = ("sin", "cos", "tan"), ("sign", "tanh", "atan")
 
 # Points within +-this at which a slope is tried: angles in rad, and whatever else.
 _TRIED, _RANGE = 50, 3.0
+# Expressions that differ by less at these points are the same.
+_EQUAL = 1e-9
 
 LENGTHS = ("m", "km", "ft", "nmi", "NM")
 """Units of positions."""
@@ -129,6 +131,24 @@ class ModelStructure:
         forces = [place for place in self.places if place.kind != "output"]
         found = {v.symbol: v for place in forces for v in self.declared_in(place)}
         return [v for n, v in found.items() if not any(n in e.symbols for e in self.outputs.values())]
+
+    def rate_of(self, variable: Variable) -> str:
+        """Return the name of the exact quantity that is the rate of another one, as the difference of two speeds is of
+        that of the positions; "" for none."""
+        e = Expr(self.quantities[variable.symbol].substitute(self.quantities))
+        if any(n not in self._exact for n in e.symbols):
+            return ""
+        rate = Expr(0.0)
+        for n in e.symbols:
+            rate = Expr(rate + Expr(e.diff(n)) * self._exact[n])
+        random = np.random.default_rng(0)
+        for other in self.exact_in_forces:
+            known = Expr(self.quantities[other.symbol].substitute(self.quantities))
+            names = {*known.symbols, *rate.symbols}
+            tried = [{n: random.uniform(-_RANGE, _RANGE) for n in names} for _ in range(_TRIED)]
+            if all(abs(known.evaluate(at) - rate.evaluate(at)) < _EQUAL for at in tried):
+                return other.symbol
+        return ""
 
     def is_product(self, place: Place) -> bool:
         """Tell whether a quantity is a product with a parameter, such as a rate of reaction or a flow of heat, and no

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -143,7 +145,6 @@ def _number(option: str, text: str, number: str) -> float:
 # Options of `read` as its errors call them, and as the command does.
 _CALLED = {
     "rate=...": "--rate RATE",
-    "time='...'": "--time NAME",
     "inputs=[...]": "--inputs A,B",
     "outputs=[...]": "--outputs A,B",
     "(inputs=...)": "(--inputs)",
@@ -220,6 +221,7 @@ class Reading:
             text = str(error)
             for option, called in _CALLED.items():
                 text = text.replace(option, called)
+            text = re.sub(r"time=('[^']*')", lambda found: f"--time {shlex.quote(found[1][1:-1])}", text)
             raise DataError(text) from error
 
 

@@ -17,7 +17,7 @@ from .checked import FloatArray, checked_gaps, real
 from .experiment import Experiment
 from .filtering import Interpolations
 from .multirate import multirate
-from .readers import Source, arrays, flight_logs, text
+from .readers import TIME_UNITS, TIMES, Source, arrays, flight_logs, text
 from .units import convert as converted
 from .units import differ, si
 
@@ -215,29 +215,20 @@ def _renamed(source: Source, rename: Mapping[str, str]) -> list[str]:
     return renamed
 
 
-# Names of a time column that need no `time=`, in any case; of several none is taken. ("T" is no time but a thrust.)
-_TIME_UNITS = ("s", "ms", "us", "ns")
-_TIMES = (
-    *("time", "elapsed", "elapsed time", "elapsed_time", "time elapsed", "time_elapsed", "seconds", "sec"),
-    *("zeit", "temps", "tiempo", "tempo", "tijd"),
-    *(f"{name}_{unit}" for name in ("time", "t") for unit in _TIME_UNITS),
-)
-
-
 def _unit_in_name(clock: str) -> str:
     """Return the unit with which the name of a time column ends, as in ``t_us``; "" where there is none."""
     name, _, unit = clock.lower().rpartition("_")
-    return unit if name in ("t", "time", "timestamp") and unit in _TIME_UNITS else ""
+    return unit if name in ("t", "time", "timestamp") and unit in TIME_UNITS else ""
 
 
 def _time_of(source: Source, names: Sequence[str], named: str | None) -> str:
     """Return the name of the time column: as given, or the one whose header is as given; else ``t`` or one of
-    `_TIMES`."""
+    `TIMES`."""
     name = "t" if named is None else named
     if name in names:
         return name
     if named is None:
-        found = [n for n in names if n.lower() in _TIMES]
+        found = [n for n in names if n.lower() in TIMES]
     else:
         header = _bare(named)
         found = [n for n, c in zip(names, source.columns, strict=True) if header and _bare(c.header) == header]

@@ -119,7 +119,7 @@ def planned(fit: ph.Fit) -> ph.results.Plan:
 
 
 def path(_: ph.Fit) -> ph.results.Reconstruction:
-    return ph.reconstruct(twin.measured(twin.flown(), 0), ("V", "alpha", "beta", "phi", "theta"), late=("alpha",))
+    return ph.reconstruct(twin.measured(twin.flown(), 0), ("V", "alpha", "beta", "phi", "theta"), delayed=("alpha",))
 
 
 def response(fit: ph.Fit) -> ph.results.FrequencyResponse:

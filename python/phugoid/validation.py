@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .data.experiment import Experiment, as_experiments
 from .data.units import check_units
-from .errors import DataError, ModelError, OptionError, check_progress, did_you_mean, finite, whole
+from .errors import DataError, ModelError, OptionError, check_progress, counted, did_you_mean, finite, whole
 from .estimation import estimate
 from .figures import fit as plot
 from .filter_error import FilterError
@@ -156,7 +156,7 @@ class Validation:
             "fitted to": ", ".join(f"'{name}'" for name in self.fitted_to),
             "status": f"{self.status}: {self.message}" if self.message else self.status,
             "fixed": ", ".join(self.held) or "nothing",
-            "re-estimated": ", ".join([f"{first} initial state{'' if first == 1 else 's'}", *self.freed]),
+            "re-estimated": ", ".join([counted(first, "initial state"), *self.freed]),
             "log-likelihood": f"{self.log_likelihood:.3f} at the noise of the fit",
         }
         if self._predicted:

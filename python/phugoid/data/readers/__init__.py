@@ -34,7 +34,7 @@ TIME_UNITS = ("s", "ms", "us", "ns")
 TIMES = (
     *("time", "elapsed", "elapsed time", "elapsed_time", "time elapsed", "time_elapsed", "seconds", "sec"),
     *("zeit", "temps", "tiempo", "tempo", "tijd"),
-    *(f"{name}_{unit}" for name in ("time", "t") for unit in TIME_UNITS),
+    *(f"{name}_{unit}" for name in ("time", "t", "timestamp") for unit in TIME_UNITS),
 )
 
 

@@ -296,7 +296,7 @@ def simulate(
     check_targets((), [out])
     source = load_source(model)
     described = source.model if isinstance(source, Fit) else source
-    (experiment,) = reading.read([data], described)
+    (experiment,) = reading.read([data], source)
     fit, values = _parameters(described, source if isinstance(source, Fit) else None, parameters)
     first = _first(described, fit, experiment.name, numbers("--initial", initial))
     record = integrate(described, values, experiment, initial=first)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import shlex
@@ -205,17 +206,25 @@ class Reading:
 
     def read(self, files: Sequence[Path], of: Model | Fit) -> list[Experiment]:
         """Read one record a file, with times in the unit of a model or of a fit; each is named after its file, with the
-        folder where file names are equal."""
+        folder where file names are equal. Options that are not given are those that the first record of a fit was read
+        with, where the file has what they name."""
         twice = [f for i, f in enumerate(files) if f.resolve() in [g.resolve() for g in files[:i]]]
         if twice:
             raise OptionError(f"{twice[0]} is given twice")
         time_unit = (of.model if isinstance(of, Fit) else of).time_unit
         stems = [f.stem for f in files]
-        return [self._record(f, str(f) if stems.count(f.stem) > 1 else None, time_unit) for f in files]
+        before = of.experiments[0]._read_as if isinstance(of, Fit) else {}
+        return [self._record(f, str(f) if stems.count(f.stem) > 1 else None, time_unit, before) for f in files]
 
-    def _record(self, file: Path, name: str | None, time_unit: str) -> Experiment:
+    def _record(self, file: Path, name: str | None, time_unit: str, before: Mapping[str, Any]) -> Experiment:
+        given = self._given()
+        if any(not given[option] for option in before):
+            with contextlib.suppress(DataError):
+                as_before = {**given, **{option: given[option] or before[option] for option in before}}
+                found: Experiment = read(file, name=name, time_unit=time_unit, **as_before)
+                return found
         try:
-            record: Experiment = read(file, name=name, time_unit=time_unit, **self._given())
+            record: Experiment = read(file, name=name, time_unit=time_unit, **given)
             return record
         except DataError as error:
             text = str(error)

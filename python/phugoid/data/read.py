@@ -402,9 +402,30 @@ def read(
     result = _one_rate(record, used, inputs, outputs, name, interpolation, window, not given)
     if result is None:
         result = _many_rates(record, inputs, outputs, name, interpolation, window)
+    result._read_as = _options(time, rate, rename, units, convert, columns)
     for warning in record.other_labels():
         warnings.warn(warning, stacklevel=2)
     return result if split_gaps is False else result.split(split_gaps)
+
+
+def _options(
+    time: str | None,
+    rate: float | None,
+    rename: Mapping[str, str] | None,
+    units: Units | None,
+    convert: bool,
+    columns: Sequence[str] | None,
+) -> dict[str, Any]:
+    """Return the options that change names and units of a file, those that are given, to read another file likewise."""
+    given = {
+        "time": time,
+        "rate": None if rate is None else float(rate),
+        "rename": dict(rename or {}),
+        "units": dict(units or {}),
+        "convert": bool(convert),
+        "columns": list(columns or ()),
+    }
+    return {option: value for option, value in given.items() if value}
 
 
 def _called(names: Sequence[str] | None, now: Mapping[str, str]) -> Sequence[str] | None:

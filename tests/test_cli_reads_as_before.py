@@ -45,6 +45,8 @@ def run(*arguments: str):  # type: ignore[no-untyped-def]
 def test_the_options_of_the_fit_are_those_of_its_validation(here: Path) -> None:
     found = run("validate", "fit.json", "run1.csv", "--json")
     assert found.exit_code == 0, found.stderr
+    few = run("validate", "fit.json", "run1.csv", "--initial-samples", "50", "--json")
+    assert few.exit_code == 0 and json.loads(few.stdout)["log_likelihood"] != json.loads(found.stdout)["log_likelihood"]
     assert run("simulate", "fit.json", "run1.csv", "--out", "out.csv").exit_code == 0
     assert json.loads(found.stdout)["matches"]["w"]["r_squared"] > 0.99
 

@@ -120,10 +120,9 @@ def test_a_parameter_without_influence_is_named() -> None:
     m.dynamics(x=-a * x + b * u)
     m.outputs(x=x + 0 * z)
     t = np.linspace(0, 10, 201)
-    run = ph.simulate(m, {"a": 1.0, "b": 2.0, "z": 0.0}, ph.Experiment(t, {"u": np.sign(np.sin(t))}))
-    fit = ph.estimate(
-        m, run.with_outputs({"x": run.outputs["x"] + 0.01 * np.random.default_rng(0).standard_normal(201)})
-    )
+    blank = ph.Experiment(t, {"u": np.sign(np.sin(t))})
+    x = ph.simulate(m, {"a": 1.0, "b": 2.0, "z": 0.0}, blank).outputs["x"]
+    fit = ph.estimate(m, blank.with_outputs({"x": x + 0.01 * np.random.default_rng(0).standard_normal(201)}))
     assert fit.status == "unidentifiable" and fit.message.endswith("(z: without influence)")
     (warning,) = (w for w in fit.warnings if "no influence" in w)
     assert warning.startswith("The size of z has no influence on the outputs") and "fix it" in warning

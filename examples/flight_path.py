@@ -77,9 +77,9 @@ def records() -> list[ph.Experiment]:
 
 def reconstruct(runs: list[ph.Experiment], boom: bool = True) -> ph.results.Reconstruction:
     """Air data share their errors; biases are each record's own. Without the boom, vanes may be late."""
-    options = {"per_experiment": INERTIAL if len(runs) > 1 else (), "late": ("V", "alpha", "beta")}
+    options = {"per_experiment": INERTIAL if len(runs) > 1 else (), "delayed": ("V", "alpha", "beta")}
     if boom:
-        options |= {"late": ("V",), "alpha_vane": attas.BOOM, "beta_vane": attas.BOOM, "flank": True}
+        options |= {"delayed": ("V",), "alpha_vane": attas.BOOM, "beta_vane": attas.BOOM, "flank": True}
     return ph.reconstruct(runs, OUTPUTS, **options)
 
 

@@ -142,7 +142,8 @@ def test_bad_input_is_a_line_and_exit_code_2(here: Path, args: list[str], words:
     [
         (
             ["--time", "zz"],
-            "has no time column 'zz'. There are: t, u, x. Give --time NAME, or for even sampling --rate RATE",
+            "has no time column 'zz'. There are: t, u, x. Give the name of the one with times, such as --time t, "
+            "or --rate RATE",
         ),
         (["--inputs", "zz"], "has no column 'zz' (--inputs)."),
         (["--outputs", "zz"], "has no column 'zz' (--outputs)."),

@@ -277,7 +277,7 @@ def test_a_fit_brings_its_estimates_and_first_states(tmp_path: Path, fit: ph.Fit
 
 
 @needs_cc
-def test_late_inputs_are_inputs_of_their_own_where_asked_for(tmp_path: Path) -> None:
+def test_delayed_inputs_are_inputs_of_their_own_where_asked_for(tmp_path: Path) -> None:
     m = ph.Model("late")
     (x,) = m.states("x")
     (u,) = m.inputs("u")
@@ -287,7 +287,9 @@ def test_late_inputs_are_inputs_of_their_own_where_asked_for(tmp_path: Path) -> 
     m.sensor_delay(x=tau)
     with pytest.raises(ModelError, match=r"delays \(u_delayed, x\)"):
         ph.export_c(m, tmp_path, {"tau": 0.2})
-    compiled = Compiled(tmp_path, m, {"tau": 0.2}, late_inputs=True)
+    with pytest.warns(DeprecationWarning, match="late_inputs of export_c is now delayed_inputs"):
+        ph.export_c(m, tmp_path / "former", {"tau": 0.2}, late_inputs=True)
+    compiled = Compiled(tmp_path, m, {"tau": 0.2}, delayed_inputs=True)
     assert "u_delayed is u(t - tau): the caller delays it" in compiled.header
     assert compiled("dynamics", 0.0, [1.0], [0.0, 5.0], [0.2], 1)[0][0] == 4.0
 

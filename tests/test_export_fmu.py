@@ -294,13 +294,13 @@ def late() -> ph.Model:
     return m
 
 
-def test_late_inputs_are_delayed_by_the_importing_program(tmp_path: Path) -> None:
+def test_delayed_inputs_are_delayed_by_the_importing_program(tmp_path: Path) -> None:
     from fmpy.validation import validate_fmu
 
     m, values = late(), {"tau": 0.2, "a": 1.5}
-    with pytest.raises(ModelError, match=r"delays \(u_delayed, y\).*export_fmu\(\.\.\., late_inputs=True\)"):
+    with pytest.raises(ModelError, match=r"delays \(u_delayed, y\).*export_fmu\(\.\.\., delayed_inputs=True\)"):
         ph.export_fmu(m, tmp_path / "late.fmu", values)
-    path = ph.export_fmu(m, tmp_path / "late.fmu", values, late_inputs=True)
+    path = ph.export_fmu(m, tmp_path / "late.fmu", values, delayed_inputs=True)
     assert validate_fmu(str(path)) == []
     by_name = {v.name: v for v in fmpy.read_model_description(path).modelVariables}
     assert by_name["u_delayed"].description == "u(t - tau): to be delayed outside"

@@ -15,7 +15,7 @@ from records import find
 import phugoid as ph
 
 OUTPUTS = ("V", "alpha", "beta", "phi", "theta", "psi")
-LATE = ("V", "alpha", "beta")
+DELAYED = ("V", "alpha", "beta")
 Channels = dict[str, NDArray[np.float64]]
 
 
@@ -56,7 +56,7 @@ def test_without_noise_the_errors_are_found_to_many_digits(truth: ph.results.Rec
 
 
 def test_known_errors_are_found_within_three_standard_errors(truth: ph.results.Record) -> None:
-    path = ph.reconstruct(twin.measured(truth, 0, inertial_noise=False), OUTPUTS, late=LATE)
+    path = ph.reconstruct(twin.measured(truth, 0, inertial_noise=False), OUTPUTS, delayed=DELAYED)
     assert path.fit.converged
     for n, e in twin.ERRORS.items():
         found = path.fit.parameters[n]
@@ -67,7 +67,7 @@ def test_known_errors_are_found_within_three_standard_errors(truth: ph.results.R
 
 
 def test_noise_of_inertial_sensors_adds_its_mean(truth: ph.results.Record) -> None:
-    path = ph.reconstruct(twin.measured(truth, 2), OUTPUTS, late=LATE)
+    path = ph.reconstruct(twin.measured(truth, 2), OUTPUTS, delayed=DELAYED)
     for n, e in twin.ERRORS.items():
         mean = twin.INERTIAL.get(n.removeprefix("b_"), 0.0) / np.sqrt(truth.t.size)
         error = np.hypot(path.coloured_errors[n], mean)
@@ -77,7 +77,7 @@ def test_noise_of_inertial_sensors_adds_its_mean(truth: ph.results.Record) -> No
 
 def test_the_corrected_record_is_the_truth_and_keeps_the_rest(truth: ph.results.Record) -> None:
     run = twin.measured(truth, 0)
-    (right,) = ph.reconstruct(run, OUTPUTS, late=LATE).corrected
+    (right,) = ph.reconstruct(run, OUTPUTS, delayed=DELAYED).corrected
     c = true_channels(truth)
     for n, tolerance in {"V": 0.05, "alpha": 4e-4, "beta": 4e-4, "phi": 3e-4, "theta": 3e-4, "psi": 3e-4}.items():
         assert np.abs(right.channels[n] - c[n]).max() < tolerance, n
@@ -196,9 +196,9 @@ def test_a_heading_that_jumps_is_unwrapped(truth: ph.results.Record) -> None:
     run = twin.measured(truth, 0)
     turned = {**run.channels, "psi": (run.channels["psi"] + 2.9 + np.pi) % (2 * np.pi) - np.pi}
     assert np.ptp(turned["psi"]) > 6
-    jumped = ph.reconstruct(ph.Experiment(run.t, channels=turned), OUTPUTS, late=LATE)
+    jumped = ph.reconstruct(ph.Experiment(run.t, channels=turned), OUTPUTS, delayed=DELAYED)
     assert "psi unwrapped" in jumped.runs[0].history
-    straight = ph.reconstruct(run, OUTPUTS, late=LATE)
+    straight = ph.reconstruct(run, OUTPUTS, delayed=DELAYED)
     assert values(jumped.fit) == pytest.approx(values(straight.fit), rel=1e-4)
 
 
@@ -243,7 +243,7 @@ def test_biases_that_nothing_tells_are_left_out_unless_asked_for() -> None:
     names = ph.models.flight_path("V alpha beta phi theta").parameter_names
     assert names == ("b_ax", "b_ay", "b_az", "b_p", "b_q", "K_alpha", "K_beta")
     more = ph.models.flight_path(
-        "V alpha beta phi theta psi h", biases=("p", "V"), scales=("ax",), late="V"
+        "V alpha beta phi theta psi h", biases=("p", "V"), scales=("ax",), delayed="V"
     ).parameter_names
     assert more == ("b_p", "b_V", "K_ax", "tau_V")
     assert "wind_north" in ph.models.flight_path("V v_north v_east").parameter_names
@@ -279,7 +279,7 @@ def test_attas_vanes_on_the_boom_are_in_scale_and_regression_agrees_with_output_
         ({"outputs": "V beta", "longitudinal": True}, "'beta' is not an output"),
         ({"biases": ("aq",)}, "biases: there is no such channel 'aq'"),
         ({"scales": ("psi",)}, "scales: there is no such channel 'psi'"),
-        ({"late": ("q",)}, "late: there is no such channel 'q'"),
+        ({"delayed": ("q",)}, "delayed: there is no such channel 'q'"),
         ({"per_experiment": ("r",)}, "per_experiment: there is no such channel 'r'"),
         ({"wind": ("north",)}, "wind shows only in outputs over ground"),
         ({"wind": ("west",)}, "wind is of north, east, up"),
@@ -297,7 +297,13 @@ def test_reconstruct_refuses_other_models_and_double_options(truth: ph.results.R
     run = twin.measured(truth, 0)
     with pytest.raises(ph.ModelError, match="'twin' is not a flight-path model"):
         ph.reconstruct(run, twin.aircraft())
-    with pytest.raises(ph.OptionError, match="late: options make a model"):
-        ph.reconstruct(run, ph.models.flight_path(), late=LATE)
+    with pytest.raises(ph.OptionError, match="delayed: options make a model"):
+        ph.reconstruct(run, ph.models.flight_path(), delayed=DELAYED)
     with pytest.raises(ph.DataError, match="has no input 'ax'"):
         ph.reconstruct(run.rename({"ax": "nx"}), OUTPUTS)
+
+
+def test_the_former_name_of_delayed_is_accepted_with_a_warning() -> None:
+    with pytest.warns(DeprecationWarning, match="late of flight_path is now delayed"):
+        former = ph.models.flight_path(OUTPUTS, late=DELAYED)
+    assert str(former) == str(ph.models.flight_path(OUTPUTS, delayed=DELAYED))

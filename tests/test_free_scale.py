@@ -110,3 +110,19 @@ def test_an_initial_state_beyond_its_bound_is_estimated_there(transcription: ph.
 def test_a_state_that_cannot_be_is_refused(state: dict, told: str) -> None:
     with pytest.raises(ph.ModelError, match=f"a state's.*{told}"):
         ph.State(**state)
+
+
+def test_a_parameter_without_influence_is_named() -> None:
+    m = ph.Model("lag")
+    (x,) = m.states("x")
+    (u,) = m.inputs("u")
+    a, b, z = m.parameters("a b z")
+    m.dynamics(x=-a * x + b * u)
+    m.outputs(x=x + 0 * z)
+    t = np.linspace(0, 10, 201)
+    blank = ph.Experiment(t, {"u": np.sign(np.sin(t))})
+    x = ph.simulate(m, {"a": 1.0, "b": 2.0, "z": 0.0}, blank).outputs["x"]
+    fit = ph.estimate(m, blank.with_outputs({"x": x + 0.01 * np.random.default_rng(0).standard_normal(201)}))
+    assert fit.status == "unidentifiable" and fit.message.endswith("(z: without influence)")
+    (warning,) = (w for w in fit.warnings if "no influence" in w)
+    assert warning.startswith("The size of z has no influence on the outputs") and "fix it" in warning

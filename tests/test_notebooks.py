@@ -66,7 +66,7 @@ def test_tables_of_a_fit(fit: ph.Fit) -> None:
     ratio = fit.robust().inflation["Mq"]
     assert next(row for row in coloured if row[0] == "Mq")[4] == f"{ratio:.2f}"
     correlation = fit.correlation
-    assert f"{len(correlation.pairs())} pairs" in texts(correlation._repr_html_())
+    assert f"{len(correlation.pairs())} pair" in texts(correlation._repr_html_())
 
 
 def test_an_experiment_shows_its_channels(fit: ph.Fit) -> None:
@@ -119,7 +119,7 @@ def planned(fit: ph.Fit) -> ph.results.Plan:
 
 
 def path(_: ph.Fit) -> ph.results.Reconstruction:
-    return ph.reconstruct(twin.measured(twin.flown(), 0), ("V", "alpha", "beta", "phi", "theta"), late=("alpha",))
+    return ph.reconstruct(twin.measured(twin.flown(), 0), ("V", "alpha", "beta", "phi", "theta"), delayed=("alpha",))
 
 
 def response(fit: ph.Fit) -> ph.results.FrequencyResponse:

@@ -118,7 +118,7 @@ def test_missing_cells_become_nan(table: Any, cell: str) -> None:
 
 
 def test_units_come_from_the_header(table: Any) -> None:
-    e = read(table("t [s],alpha (deg),V[m/s],Mach [-]\n0,1,2,0.3\n1,3,4,0.3\n"), units={"V": "kt"})
+    e = read(table("t [s],alpha (deg),V[m/s],Mach [-]\n0,1,2,0.3\n1,3,4,0.3\n"), units={"V": ("kt", "kt")})
     assert list(e.channels) == ["alpha", "V", "Mach"]
     assert dict(e.units) == {"alpha": "deg", "V": "kt", "time": "s"}
 
@@ -212,10 +212,36 @@ def test_a_column_of_words_is_left_out(table: Any) -> None:
     assert has(refusal(table("t,q,b\n0,1,off\n1,2,3\n")), "'off' is not a number")
 
 
-def test_decimal_comma_is_not_guessed(table: Any) -> None:
-    assert has(refusal(table("t;q\n0;1,5\n1;2,5\n")), "line 2", "'1,5'", "decimal comma")
+def test_decimal_commas_are_read(table: Any) -> None:
+    run = read(table("Zeit [s];q\n0,00;1,500\n0,01;-,5e1\n0,02;\n"))
+    assert run.t.tolist() == [0.0, 0.01, 0.02]
+    assert run.output("q")[:2].tolist() == [1.5, -5.0] and np.isnan(run.output("q")[2])
+    assert read(table("t;q\n0;1,5\n1;2,5\n")).output("q").tolist() == [1.5, 2.5]
+
+
+def test_commas_that_may_separate_thousands_are_not_guessed(table: Any) -> None:
+    for text in ("t;q\n0;1,500\n1;2,500\n", "t;q\n0.5;1,5\n1.5;2,5\n"):
+        assert has(refusal(table(text)), "line 2", "decimal commas or thousands?", "write points")
     # A row of such numbers is not one of units.
-    assert has(refusal(table("t;q\n0,0;1,5\n0,1;2,5\n")), "line 2", "'0,0'", "decimal comma")
+    assert has(refusal(table("t;q\n1,000;1,500\n1,001;2,500\n")), "line 2", "'1,000'", "decimal commas")
+
+
+@pytest.mark.parametrize("header", ["Elapsed Time (s)", "Zeit [s]", "elapsed", "seconds"])
+def test_common_names_of_times_are_found(table: Any, header: str) -> None:
+    assert read(table(f"{header};q\n0.5;1\n1.5;2\n")).t.tolist() == [0.5, 1.5]
+
+
+def test_error_names_the_column_that_may_hold_the_times(table: Any) -> None:
+    assert has(refusal(table("q,Test time base,V\n0,0,1\n1,1,2\n")), "such as time='Test time base'")
+    assert has(refusal(table("clock,q,V\n0,0,1\n1,1,2\n")), "such as time='clock'")
+
+
+def test_label_against_the_unit_of_the_file_is_reported(table: Any) -> None:
+    path = table("t,speed [rpm]\n0,60\n1,120\n")
+    with pytest.warns(UserWarning, match=r"states the unit 'rpm'.*without converting.*\('rpm', 'rad/s'\)"):
+        assert read(path, units={"speed": "rad/s"}).output("speed")[0] == 60
+    assert read(path, units={"speed": ("rpm", "rad/s")}).output("speed")[0] == pytest.approx(2 * np.pi)
+    assert read(path, units={"speed": ("rad/s", "rad/s")}).output("speed")[0] == 60
 
 
 def test_rename_the_wrong_way_round_is_recognised(table: Any) -> None:

@@ -61,6 +61,17 @@ def test_a_count_is_no_time() -> None:
     assert read(frame[["q"]], rate=2.0).t[-1] == 1.5
 
 
+@pytest.mark.parametrize("name", [None, "id"])
+def test_row_numbers_are_no_times_once_rows_are_dropped(name: str | None) -> None:
+    frame = pytest.importorskip("pandas").DataFrame({"time": T, "q": T**2}).drop(index=1).rename_axis(name)
+    e = read(frame)
+    assert e.t.tolist() == [T[0], *T[2:]] and "time" not in e.channels
+    if name is None:
+        with pytest.raises(DataError, match="the DataFrame: has no time column 't'"):
+            read(frame[["q"]])
+        assert read(frame[["q"]], rate=2.0).n == T.size - 1
+
+
 def test_polars_dates() -> None:
     polars = pytest.importorskip("polars")
     t = np.datetime64("2026-01-01", "us") + (T * 1e6).astype("timedelta64[us]")

@@ -251,3 +251,17 @@ def test_monomials() -> None:
             ph.monomials(a, q, **bad)
     with pytest.raises(ph.OptionError, match="expressions of a model"):
         ph.monomials("a")
+
+
+def test_the_name_of_a_state_that_is_an_output_as_well_is_refused() -> None:
+    m = ph.Model("roll")
+    (p,) = m.states(p="rad/s")
+    L, D = m.parameters("L D")
+    (da,) = m.inputs(da="rad")
+    m.dynamics(p=L * p + D * da)
+    m.outputs(p=p)
+    t = np.linspace(0, 10, 201)
+    run = ph.Experiment(t, {"da": np.sin(t)}, {"p": np.cos(t)})
+    with pytest.raises(ph.ModelError, match="'p' is both a state and an output: write \"p'\" for the state"):
+        ph.equation_error(m, run, terms={"p": [p**3]})
+    assert "p_dot_p3" in ph.equation_error(m, run, terms={"p'": [p**3]}).parameters

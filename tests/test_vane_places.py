@@ -11,7 +11,7 @@ import phugoid as ph
 
 OUTPUTS = ("V", "alpha", "beta", "phi", "theta", "psi")
 BOOM = example.attas.BOOM
-LATE = ("alpha", "beta")
+DELAYED = ("alpha", "beta")
 
 
 @pytest.fixture(scope="module")
@@ -36,16 +36,16 @@ def test_a_place_that_is_not_given_is_found(truth: ph.results.Record) -> None:
 
 def test_delays_that_were_asked_for_are_told_to_be_places(truth: ph.results.Record) -> None:
     """The delay looks right, x/V, and so does a scale factor that is not there."""
-    path = ph.reconstruct(on_boom(truth), OUTPUTS, late=LATE)
+    path = ph.reconstruct(on_boom(truth), OUTPUTS, delayed=DELAYED)
     assert path.fit.parameters["tau_alpha"].value == pytest.approx(BOOM[0] / twin.V0, abs=0.01)
     assert path.fit.parameters["K_alpha"].value < 0.95 * twin.ERRORS["K_alpha"]
-    assert path.places is not None and path.places.preferred and path.places.delayed == LATE
+    assert path.places is not None and path.places.preferred and path.places.delayed == DELAYED
     assert path.places.fit.parameters["K_alpha"].value == pytest.approx(twin.ERRORS["K_alpha"], abs=0.01)
     assert "instead of delays of alpha and beta" in path.summary() and "prefer positions to delays" in path.summary()
 
 
 def test_vanes_that_are_late_are_told_to_be_late(truth: ph.results.Record) -> None:
-    places = ph.reconstruct(twin.measured(truth), OUTPUTS, late=("V", *LATE)).places
+    places = ph.reconstruct(twin.measured(truth), OUTPUTS, delayed=("V", *DELAYED)).places
     assert places is not None and places.preferred is False
     assert "the data prefer delays" in str(places)
 

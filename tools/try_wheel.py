@@ -3,9 +3,9 @@
     python tools/try_wheel.py WHEEL [--versions lowest | newest] [--python PYTHON]
 
 `lowest` installs the lowest versions of the packages that the wheel's metadata accepts, `newest` what pip finds. Then
-the package is imported, a packaged example is written, fitted, validated and simulated from the command line, and a
-small model is diagnosed. Prints one row of a Markdown table; ends with 1 where a step failed, with what it printed.
-Needs nothing but Python 3.10.
+the package is imported, a packaged example is written, fitted, validated and simulated from the command line, a small
+model is diagnosed, and two threads fit at once. Prints one row of a Markdown table; ends with 1 where a step failed,
+with what it printed. Needs nothing but Python 3.10.
 """
 
 from __future__ import annotations
@@ -48,6 +48,31 @@ m.dynamics(x=a * x + b * v)
 m.outputs(x=x)
 found = ph.diagnose(ph.estimate(m, record("one", 0)), validation=record("two", 1))
 assert [f.cause for f in found.findings] == ["x':x^3"], found.summary()
+"""
+
+# Two estimations at once give the same bits as one after the other; a free-threaded Python stays so.
+THREADS = """
+import sys, threading
+import phugoid as ph
+
+runs = [ph.read("hfb320.csv"), ph.read("hfb320_other.csv")]
+model = ph.models.hfb320()
+
+def fit(i, into):
+    into[i] = ph.estimate(model, runs[i])
+
+alone, together = {}, {}
+for i in range(2):
+    fit(i, alone)
+threads = [threading.Thread(target=fit, args=(i, together)) for i in range(2)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+for i in range(2):
+    one, two = (f[i].parameters for f in (alone, together))
+    assert all(one[n].value == two[n].value and one[n].std_error == two[n].std_error for n in one), i
+assert sys.version_info < (3, 13) or sys._is_gil_enabled() != ("free-threading" in sys.version), "the GIL is back"
 """
 
 IMPORT = "import time; t = time.perf_counter(); import phugoid; print(time.perf_counter() - t)"
@@ -122,6 +147,7 @@ def steps(e: Environment) -> float:
         if (e.folder / name).stat().st_size < least:
             raise Failed(f"{name} is too short")
     e.run("python", "-c", DIAGNOSIS)
+    e.run("python", "-c", THREADS)
     return seconds
 
 

@@ -25,6 +25,7 @@ __all__ = [
     "UnknownName",
     "check_progress",
     "check_time_limit",
+    "counted",
     "did_you_mean",
     "finite",
     "is_whole",
@@ -199,6 +200,15 @@ def joined(names: Sequence[str], last: str = "and") -> str:
     ('p', 'p, q and r')
     """
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
+
+
+def counted(n: int, noun: str) -> str:
+    """Return a number with its noun, in the plural unless it is 1.
+
+    >>> counted(1, "state"), counted(0, "input")
+    ('1 state', '0 inputs')
+    """
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
 def some(names: Sequence[str], most: int = 40) -> str:

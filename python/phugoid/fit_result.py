@@ -14,7 +14,7 @@ import phugoid._core as _core
 
 from .data.experiment import Experiment
 from .data.filtering import kinds_for
-from .errors import ByName, DataError
+from .errors import ByName, DataError, counted
 from .filter_error import FilterError
 from .modelling.densities import PerExperiment
 from .modelling.model import Model
@@ -176,7 +176,7 @@ class FitResult:
     def __repr__(self) -> str:
         return (
             f"<Fit of '{self.model.name}': {self.status}, log-likelihood {self.log_likelihood:.6g}, "
-            f"{len(self.parameters)} parameters>"
+            f"{counted(len(self.parameters), 'parameter')}>"
         )
 
 

@@ -339,7 +339,7 @@ def _with_vane_positions(
     if not channels or fit.status not in ENDED_WELL:
         return None
     delayed = [n for n in fit.model.delays.outputs if n not in channels]
-    other = flight_path(outputs, **{**options, "late": delayed, **{f"{c}_vane": (None, 0.0, 0.0) for c in channels}})
+    other = flight_path(outputs, **{**options, "delayed": delayed, **{f"{c}_vane": (None, 0.0, 0.0) for c in channels}})
     known = {*other.parameter_names, *other.state_names}
     begin = {n: v for n, v in start.items() if n.partition("[")[0] in known}
     for n in delayed:  # delays take most of the time

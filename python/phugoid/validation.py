@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .data.experiment import Experiment, as_experiments
 from .data.units import check_units
-from .errors import DataError, ModelError, OptionError, check_progress, did_you_mean, finite, whole
+from .errors import DataError, ModelError, OptionError, check_progress, counted, did_you_mean, finite, whole
 from .estimation import estimate
 from .figures import fit as plot
 from .filter_error import FilterError
@@ -119,7 +119,7 @@ class Validation:
         meaning."""
         parts = [facts_text(f"{self.model.name}: validation", self._entries())]
         if self.freed:
-            parts.append(estimates_table(self.freed.values(), title="freed"))
+            parts.append(estimates_table(self.freed.values(), title="re-estimated"))
         parts.append(text_table(*match_rows(self.matches.values())))
         if len(self.records) > 1:
             parts += [
@@ -156,7 +156,7 @@ class Validation:
             "fitted to": ", ".join(f"'{name}'" for name in self.fitted_to),
             "status": f"{self.status}: {self.message}" if self.message else self.status,
             "fixed": ", ".join(self.held) or "nothing",
-            "re-estimated": ", ".join([f"{first} initial states", *self.freed]),
+            "re-estimated": ", ".join([counted(first, "initial state"), *self.freed]),
             "log-likelihood": f"{self.log_likelihood:.3f} at the noise of the fit",
         }
         if self._predicted:

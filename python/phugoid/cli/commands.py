@@ -129,6 +129,14 @@ def validate(
             metavar="OUTPUT=VALUE",
         ),
     ] = None,
+    initial_samples: Annotated[
+        int | None,
+        typer.Option(
+            "--initial-samples",
+            help="Estimate initial states and biases from the first N samples alone, and simulate the rest.",
+            metavar="N",
+        ),
+    ] = None,
     *,
     how: Estimation,
     reading: Reading,
@@ -157,7 +165,7 @@ def validate(
             print(f"{fit.summary()}\n\nThere is nothing to validate: the fit has not converged.")
         return code_of(fit)
     records = reading.read(others, fit)
-    result = fit.validate(records, tolerances=limits or None, progress=True)
+    result = fit.validate(records, tolerances=limits or None, initial_samples=initial_samples, progress=True)
     page = partial(write_report, fit, files=[model.rpartition(":")[0] or model, *data], validation=result)
     writers: list[Callable[[], list[Path]]] = [partial(save_figures, result, plot), saved(page, report)]
     finish("validate", result, partial(_validation_facts, fit, result) if json else None, writers)
@@ -296,7 +304,7 @@ def simulate(
     check_targets((), [out])
     source = load_source(model)
     described = source.model if isinstance(source, Fit) else source
-    (experiment,) = reading.read([data], described)
+    (experiment,) = reading.read([data], source)
     fit, values = _parameters(described, source if isinstance(source, Fit) else None, parameters)
     first = _first(described, fit, experiment.name, numbers("--initial", initial))
     record = integrate(described, values, experiment, initial=first)

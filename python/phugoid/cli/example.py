@@ -222,14 +222,14 @@ _ALL = (
     Example(
         "quadrotor",
         "quadrotor near hover, pitch axis: 8 parameters, 4 outputs, a delay and a lag",
-        {"T": 0.06, "late": 0.035, "Mn": 60.0, "Mq": -1.5, "Mu": 0.05, "D": 0.35, "b_q": 0.01, "b_ax": 0.1},
+        {"T": 0.06, "delay": 0.035, "Mn": 60.0, "Mq": -1.5, "Mu": 0.05, "D": 0.35, "b_q": 0.01, "b_ax": 0.1},
         {"u": 0.0, "theta": 0.0, "q": 0.0, "n": 0.0},
         {},
         {"u": 0.05, "theta": 0.003, "q": 0.01, "ax": 0.08},
         20.0,
         100.0,
         "The lag of the rotors and the damping Mq are interchangeable: the upper bound of T decides which is which. "
-        "Only fast steps distinguish the delay from the lag: see the correlation of T and late. The accelerometer "
+        "Only fast steps distinguish the delay from the lag: see the correlation of T and delay. The accelerometer "
         "measures the drag.",
         _quadrotor,
     ),

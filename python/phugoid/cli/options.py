@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -143,7 +146,6 @@ def _number(option: str, text: str, number: str) -> float:
 # Options of `read` as its errors call them, and as the command does.
 _CALLED = {
     "rate=...": "--rate RATE",
-    "time='...'": "--time NAME",
     "inputs=[...]": "--inputs A,B",
     "outputs=[...]": "--outputs A,B",
     "(inputs=...)": "(--inputs)",
@@ -204,22 +206,31 @@ class Reading:
 
     def read(self, files: Sequence[Path], of: Model | Fit) -> list[Experiment]:
         """Read one record a file, with times in the unit of a model or of a fit; each is named after its file, with the
-        folder where file names are equal."""
+        folder where file names are equal. Options that are not given are those that the first record of a fit was read
+        with, where the file has what they name."""
         twice = [f for i, f in enumerate(files) if f.resolve() in [g.resolve() for g in files[:i]]]
         if twice:
             raise OptionError(f"{twice[0]} is given twice")
         time_unit = (of.model if isinstance(of, Fit) else of).time_unit
         stems = [f.stem for f in files]
-        return [self._record(f, str(f) if stems.count(f.stem) > 1 else None, time_unit) for f in files]
+        before = of.experiments[0]._read_as if isinstance(of, Fit) else {}
+        return [self._record(f, str(f) if stems.count(f.stem) > 1 else None, time_unit, before) for f in files]
 
-    def _record(self, file: Path, name: str | None, time_unit: str) -> Experiment:
+    def _record(self, file: Path, name: str | None, time_unit: str, before: Mapping[str, Any]) -> Experiment:
+        given = self._given()
+        if any(not given[option] for option in before):
+            with contextlib.suppress(DataError):
+                as_before = {**given, **{option: given[option] or before[option] for option in before}}
+                found: Experiment = read(file, name=name, time_unit=time_unit, **as_before)
+                return found
         try:
-            record: Experiment = read(file, name=name, time_unit=time_unit, **self._given())
+            record: Experiment = read(file, name=name, time_unit=time_unit, **given)
             return record
         except DataError as error:
             text = str(error)
             for option, called in _CALLED.items():
                 text = text.replace(option, called)
+            text = re.sub(r"time=('[^']*')", lambda found: f"--time {shlex.quote(found[1][1:-1])}", text)
             raise DataError(text) from error
 
 

@@ -125,7 +125,7 @@ def printed_summary(result: Any) -> str:
 def _text(error: Exception) -> str:
     if isinstance(error, OSError) and not isinstance(error, PhugoidError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
-    return str(error) or type(error).__name__
+    return str(error).replace("Use .rename({...})", "Use --rename OLD=NEW") or type(error).__name__
 
 
 def check_saved(path: Path | None, what: str) -> None:

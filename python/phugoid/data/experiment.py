@@ -80,6 +80,7 @@ class Experiment(Preprocessing):
         self._mesh_times: FloatArray | None = None
         self._history: tuple[str, ...] = ()
         self._left_out: Mapping[str, str] = {}  # of the file: name -> why it is not a channel
+        self._read_as: Mapping[str, Any] = {}  # options of `read` that say how names and units of the file were changed
         self._unmeasured: frozenset[str] = frozenset()  # outputs that only other experiments measure
         for channel, values in self._inputs.items():
             checked.check_input(checked.where(self._name, "input", channel), values, self._t)
@@ -399,7 +400,7 @@ class Experiment(Preprocessing):
     def _after(self, before: Experiment, *steps: str) -> Experiment:
         """Set the history: that of the record this one was made of, and the steps since; return this record."""
         self._history = (*before._history, *steps)
-        self._left_out = before._left_out
+        self._left_out, self._read_as = before._left_out, before._read_as
         return self
 
     def _units_of(self, *groups: Collection[str]) -> dict[str, str]:
@@ -434,7 +435,8 @@ class Experiment(Preprocessing):
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Pickling (multistart in other processes) forgets that the arrays are read-only.
         self.__dict__.update(state)
-        self.__dict__.setdefault("_history", ())  # pickled by an older version
+        for name, nothing in (("_history", ()), ("_read_as", {})):  # pickled by an older version
+            self.__dict__.setdefault(name, nothing)
         for values in (self._t, *self._inputs.values(), *self._outputs.values(), *self._channels.values()):
             values.setflags(write=False)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from numbers import Real
 from os import PathLike
@@ -16,9 +17,9 @@ from .checked import FloatArray, checked_gaps, real
 from .experiment import Experiment
 from .filtering import Interpolations
 from .multirate import multirate
-from .readers import Source, arrays, flight_logs, text
+from .readers import TIME_UNITS, TIMES, Source, arrays, flight_logs, text
 from .units import convert as converted
-from .units import si
+from .units import differ, si
 
 __all__ = ["read"]
 
@@ -94,8 +95,8 @@ class _Columns:
         self.clocks = set() if rate is not None else set(self._clock.values())
         if rate is None and self.clocks == {time} and time not in self._columns:
             raise DataError(
-                f"{self.where}: has no time column '{time}'.{_listing(time, names)} Give time='...', or for even "
-                "sampling rate=..."
+                f"{self.where}: has no time column '{time}'.{_listing(time, names)} Give the name of the one "
+                f"with times, such as time='{_likely_times(names)}', or rate=... (samples per second) for even sampling"
             )
         self.available = [n for n in names if n not in self.clocks]
 
@@ -180,6 +181,19 @@ class _Columns:
             raise DataError(f"{self.where}: units: give '{name}' its unit, or (from, to) as two, not {given!r}")
         return given[0]
 
+    def other_labels(self) -> list[str]:
+        """Return a warning for each column read whose unit, as the user gives it, is not that of the file."""
+        texts = []
+        for name, given in self._units.items():
+            stated = self._columns[name].unit if name in self._read and name in self._columns else ""
+            if stated and given and isinstance(given, str) and differ(stated, given):
+                texts.append(
+                    f"{self.where}, column '{name}': the file states the unit '{stated}', and units={{'{name}': "
+                    f"'{given}'}} labels its numbers '{given}' without converting them; to convert them give "
+                    f"units={{'{name}': ('{stated}', '{given}')}} (at the command line --convert, without --units)"
+                )
+        return texts
+
 
 def _renamed(source: Source, rename: Mapping[str, str]) -> list[str]:
     names = [column.name for column in source.columns]
@@ -201,29 +215,29 @@ def _renamed(source: Source, rename: Mapping[str, str]) -> list[str]:
     return renamed
 
 
-# Names of a time column that need no `time=`, in any case; of several none is taken. ("T" is no time but a thrust.)
-_TIME_UNITS = ("s", "ms", "us", "ns")
-_TIMES = ("time", *(f"{name}_{unit}" for name in ("time", "t") for unit in _TIME_UNITS))
-
-
 def _unit_in_name(clock: str) -> str:
     """Return the unit with which the name of a time column ends, as in ``t_us``; "" where there is none."""
     name, _, unit = clock.lower().rpartition("_")
-    return unit if name in ("t", "time", "timestamp") and unit in _TIME_UNITS else ""
+    return unit if name in ("t", "time", "timestamp") and unit in TIME_UNITS else ""
 
 
 def _time_of(source: Source, names: Sequence[str], named: str | None) -> str:
     """Return the name of the time column: as given, or the one whose header is as given; else ``t`` or one of
-    `_TIMES`."""
+    `TIMES`."""
     name = "t" if named is None else named
     if name in names:
         return name
     if named is None:
-        found = [n for n in names if n.lower() in _TIMES]
+        found = [n for n in names if n.lower() in TIMES]
     else:
         header = _bare(named)
         found = [n for n, c in zip(names, source.columns, strict=True) if header and _bare(c.header) == header]
     return found[0] if len(found) == 1 else name
+
+
+def _likely_times(names: Sequence[str]) -> str:
+    """Return the column that may hold the times: one that is named after time, else the first."""
+    return next((n for n in names if "time" in n.lower()), next(iter(names), "t"))
 
 
 def _bare(header: str) -> str:
@@ -310,7 +324,7 @@ def read(
                and groups are called ``group.name`` (or ``name`` alone where one group holds everything), those of logs
                ``topic.field`` (of a second instance ``topic[1].field``), columns of matrices ``name[0]``.
     time       name of the time column, with its unit as in the header or without; None: ``t``, or what the file
-               itself takes for time, or the one column that is called ``time``, ``Time``, ``t_us`` or the like;
+               itself takes for time, or the one column that is called ``time``, ``Elapsed Time``, ``t_us`` or the like;
                a unit with which the name ends is that of the column.
                In a log, the field with the stamps, such as ``timestamp_sample``, of each topic that has it.
     inputs     names of the input columns; None: a model finds its inputs among all columns.
@@ -334,7 +348,8 @@ def read(
 
     Channels with time stamps of their own keep them, see `multirate`; ``inputs`` and ``outputs`` must then be given.
     In a text table, lines that begin with ``#`` or ``%`` are comments, lines with fewer cells before the header are
-    passed over, and empty cells, ``NaN`` and ``NA`` are missing samples. Times may be dates with times of ISO 8601,
+    passed over, and empty cells, ``NaN`` and ``NA`` are missing samples. Decimal commas are read where commas cannot
+    separate thousands. Times may be dates with times of ISO 8601,
     such as ``2024-05-31T12:00:00.25Z``: time runs from the first.
 
     Raises DataError with the line and the column for a cell that is not a number, with the line for a row that
@@ -387,7 +402,30 @@ def read(
     result = _one_rate(record, used, inputs, outputs, name, interpolation, window, not given)
     if result is None:
         result = _many_rates(record, inputs, outputs, name, interpolation, window)
+    result._read_as = _options(time, rate, rename, units, convert, columns)
+    for warning in record.other_labels():
+        warnings.warn(warning, stacklevel=2)
     return result if split_gaps is False else result.split(split_gaps)
+
+
+def _options(
+    time: str | None,
+    rate: float | None,
+    rename: Mapping[str, str] | None,
+    units: Units | None,
+    convert: bool,
+    columns: Sequence[str] | None,
+) -> dict[str, Any]:
+    """Return the options that change names and units of a file, those that are given, to read another file likewise."""
+    given = {
+        "time": time,
+        "rate": None if rate is None else float(rate),
+        "rename": dict(rename or {}),
+        "units": dict(units or {}),
+        "convert": bool(convert),
+        "columns": list(columns or ()),
+    }
+    return {option: value for option, value in given.items() if value}
 
 
 def _called(names: Sequence[str] | None, now: Mapping[str, str]) -> Sequence[str] | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,20 +53,27 @@ class Contents:
     facts: tuple[str, ...]
 
 
+def renamed(caller: str, late_inputs: bool) -> bool:
+    """Return the option of the former name, with a DeprecationWarning where it is given."""
+    if late_inputs:
+        warnings.warn(f"the option late_inputs of {caller} is now delayed_inputs", DeprecationWarning, stacklevel=3)
+    return late_inputs
+
+
 def contents_of(
     caller: str,
     fit: FitResult | Model,
     parameters: Mapping[str, Any] | None,
     experiment: str | None,
-    late_inputs: bool = False,
+    delayed_inputs: bool = False,
 ) -> Contents:
     """Return what to export of a fit or a model; raise ModelError where values or choices are missing."""
     model, values = numbers_of(caller, fit, parameters, experiment)
-    if model.delays and not late_inputs:
+    if model.delays and not delayed_inputs:
         late = ", ".join([*model.delays.inputs, *model.delays.outputs])
         raise ModelError(
             f"{caller}: the model has delays ({late}), which functions of the present state cannot represent; with "
-            f"{caller}(..., late_inputs=True) each late input is one of its own, which the caller delays"
+            f"{caller}(..., delayed_inputs=True) each delayed input is one of its own, which the caller delays"
         )
     states = dict.fromkeys(model.state_names, 0.0)
     inputs = dict.fromkeys(model.declared_inputs, 0.0)
@@ -331,6 +339,7 @@ def export_c(
     *,
     name: str | None = None,
     experiment: str | None = None,
+    delayed_inputs: bool = False,
     late_inputs: bool = False,
 ) -> tuple[Path, Path]:
     """Write ``<name>.h`` and ``<name>.c``; return their paths. The folder is created where it does not exist.
@@ -351,13 +360,13 @@ def export_c(
 
     ``parameters``, ``experiment``  as in `linearise`; ``x0`` is the first state of that experiment, 0 without a fit.
     ``name``         prefix of files and functions; made from the model's name unless given.
-    ``late_inputs``  of a model with delays: take each late input, u(t - tau), as an input of its own, which the caller
-                     delays, and leave delays of sensors to the caller too.
+    ``delayed_inputs``  of a model with delays: take each delayed input, u(t - tau), as an input of its own, which the
+                     caller delays, and leave delays of sensors to the caller too.
 
     Raises ModelError for a model with delays otherwise, and where values are missing or each experiment has its own;
     OptionError for a name that is invalid in C; DataError where the files cannot be written.
     """
-    contents = contents_of("export_c", fit, parameters, experiment, late_inputs)
+    contents = contents_of("export_c", fit, parameters, experiment, delayed_inputs or renamed("export_c", late_inputs))
     code = source(contents, identifier(contents.model.name) if name is None else checked_name(name))
     target = Path(folder)
     try:

@@ -20,7 +20,7 @@ from ..errors import DataError, MissingDependency, positive
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..writing import write
-from . import Code, Contents, contents_of, identifier, source
+from . import Code, Contents, contents_of, identifier, renamed, source
 from .graph import number
 
 __all__ = ["export_fmu"]
@@ -40,6 +40,7 @@ def export_fmu(
     experiment: str | None = None,
     step: float | None = None,
     binary: bool = True,
+    delayed_inputs: bool = False,
     late_inputs: bool = False,
 ) -> Path:
     """Write a functional mock-up unit (FMI 2.0) for model exchange and co-simulation, with its C source; return the
@@ -55,7 +56,7 @@ def export_fmu(
     ``step``    longest Runge-Kutta step (order 4) of co-simulation; else a tenth of the shortest sampling
                 interval, 0.01 without a fit. The unit's time is that of the model: 1 is 1 h where the model has time in
                 h, though importing programs write s.
-    ``late_inputs``  of a model with delays: take each late input, u(t - tau), as an input of its own, which the
+    ``delayed_inputs``  of a model with delays: take each delayed input, u(t - tau), as an input of its own, which the
                 importing program delays (a transport delay before the input), and leave delays of sensors to it too;
                 the descriptions of these variables say so.
     ``binary``  compile for this platform, by the compiler ``cc``, ``gcc`` or ``clang`` or that named by the environment
@@ -67,7 +68,9 @@ def export_fmu(
     """
     import uuid
 
-    contents = contents_of("export_fmu", fit, parameters, experiment, late_inputs)
+    contents = contents_of(
+        "export_fmu", fit, parameters, experiment, delayed_inputs or renamed("export_fmu", late_inputs)
+    )
     if step is None:
         gaps = [float(np.diff(r.t).min()) for r in fit.records] if isinstance(fit, FitResult) else []
         step = min(gaps) / _PARTS if gaps else _STEP

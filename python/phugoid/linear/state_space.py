@@ -10,7 +10,7 @@ from typing import Any, TypeAlias, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import MissingDependency, ModelError, listing
+from ..errors import MissingDependency, ModelError, counted, listing
 from ..notebook import Rows, overview
 from ..parameters import Estimate, plus_minus, text_table
 from ..time_unit import SECONDS, TimeUnit
@@ -244,7 +244,9 @@ class StateSpace:
         left = [f"{name}'" for name in self.states] + list(self.outputs)
         cells = [[name, *(f"{x:.4g}" for x in row)] for name, row in zip(left, rows, strict=True)]
         matrices = ["", *self.states, *self.inputs], cells, "l" + "r" * rows.shape[1]
-        note = f"{self.order} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs"
+        note = ", ".join(
+            [counted(self.order, "state"), counted(len(self.inputs), "input"), counted(len(self.outputs), "output")]
+        )
         shown = (matrices, self.modes._rows()) if rows.shape[1] <= _WIDE else (self.modes._rows(),)
         return overview("State space", *shown, remarks=self.warnings, note=note)
 
@@ -293,7 +295,8 @@ class StateSpace:
         return control.StateSpace(self.A, self.B, self.C, self.D, **names, **more)
 
     def __repr__(self) -> str:
-        return f"<StateSpace: {self.order} states, inputs: {' '.join(self.inputs)}, outputs: {' '.join(self.outputs)}>"
+        inputs, outputs = " ".join(self.inputs), " ".join(self.outputs)
+        return f"<StateSpace: {counted(self.order, 'state')}, inputs: {inputs}, outputs: {outputs}>"
 
     def __str__(self) -> str:
         return f"{self!r}\n\n{self.modes}" + "".join(f"\n\nWarning: {w}" for w in self.warnings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -128,7 +129,7 @@ def flight_path(
     longitudinal: bool = False,
     biases: Collection[str] | None = None,
     scales: Collection[str] | None = None,
-    late: Collection[str] = (),
+    delayed: Collection[str] = (),
     accelerometer: Sequence[float] | None = None,
     alpha_vane: Sequence[float | None] | None = None,
     beta_vane: Sequence[float | None] | None = None,
@@ -137,6 +138,7 @@ def flight_path(
     per_experiment: Collection[str] = (),
     gravity: float = 9.80665,
     name: str = "flight path",
+    late: Collection[str] | None = None,
 ) -> Model:
     """Return a model of the kinematic equations alone: whatever the aerodynamics, the sensors of a flight must be
     consistent.
@@ -164,7 +166,7 @@ def flight_path(
                    errors show how well.
     scales         channels with a scale factor ``K_<channel>``: measured = K true + b. Unless given alpha and beta,
                    where they are outputs: the fuselage deflects the air at vanes and probes.
-    late           outputs that are measured with a delay, ``tau_<output>`` (s, 0 to 2). `estimate` needs ``start={"V":
+    delayed        outputs that are measured with a delay, ``tau_<output>`` (s, 0 to 2). `estimate` needs ``start={"V":
                    ...}`` where V is among them.
     accelerometer  (x, y, z) of the accelerometers from the centre of gravity (m; forward, right, down). Then the
                    angular accelerations are inputs too: pdot, qdot, rdot (rad/s²).
@@ -209,7 +211,10 @@ def flight_path(
     biased = _chosen("biases", biases, _observable_biases(measured, inertial), known)
     scaled = _chosen("scales", scales, {"alpha", "beta"}.intersection(measured), known)
     own = _chosen("per_experiment", per_experiment, set(), biased)
-    lagging = _chosen("late", late, set(), set(measured))
+    if late is not None:
+        warnings.warn("the option late of flight_path is now delayed", DeprecationWarning, stacklevel=2)
+        delayed = late
+    lagging = _chosen("delayed", delayed, set(), set(measured))
     ground = [n for n in measured if n in _GROUND]
     blowing = _winds(wind, bool(ground), measured)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .._core import Expr
 from ..data.experiment import Experiment
-from ..errors import DataError, EvaluationError, ModelError, OptionError
+from ..errors import DataError, EvaluationError, ModelError, OptionError, counted
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..simulation import simulate
@@ -171,7 +171,7 @@ class PetabProblem:
         write(path, table.to_csv(sep="\t"), "the parameter table")
 
     def __repr__(self) -> str:
-        return f"<PetabProblem '{self.name}': {self.model!r}, {len(self.experiments)} experiments>"
+        return f"<PetabProblem '{self.name}': {self.model!r}, {counted(len(self.experiments), 'experiment')}>"
 
 
 def read_petab(path: str | os.PathLike[str]) -> PetabProblem:

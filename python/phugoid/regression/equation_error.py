@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment, as_experiments
 from ..data.units import check_units
-from ..errors import ByName, DataError, ModelError, OptionError
+from ..errors import ByName, DataError, ModelError, OptionError, counted
 from ..figures import fit as plot
 from ..initialisation import check_names, parameter_start
 from ..modelling.model import Model
@@ -146,7 +146,8 @@ class EquationError:
 
     def __repr__(self) -> str:
         return (
-            f"<EquationError of '{self.model.name}': {len(self.sigmas)} equations, {len(self.parameters)} parameters>"
+            f"<EquationError of '{self.model.name}': {counted(len(self.sigmas), 'equation')}, "
+            f"{counted(len(self.parameters), 'parameter')}>"
         )
 
     def __str__(self) -> str:

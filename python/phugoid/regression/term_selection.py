@@ -303,6 +303,11 @@ def with_candidates(model: Model, terms: Mapping[str, Any]) -> tuple[Model, list
     sums: dict[str, Any] = {}
     for place, given in terms.items():
         key = place if place in keys else f"y:{place}"
+        if f"{place}'" in keys and key in keys:
+            raise ModelError(
+                f"equation_error: terms: '{place}' is both a state and an output: write \"{place}'\" for the state "
+                f"equation, or '{key}' for the output equation"
+            )
         if key not in keys:
             raise ModelError(f"equation_error: terms: '{place}' is not an equation.{listing(str(place), list(keys))}")
         named = given if isinstance(given, Mapping) else None

@@ -105,6 +105,7 @@ def _experiment_payload(e: Experiment) -> dict[str, Any]:
         "signals": {name: list(signal) for name, signal in e._signals_of().items()},
         "mesh_times": e.mesh_times,
         "history": list(e.history),
+        "read_as": dict(e._read_as),
     }
 
 
@@ -237,7 +238,24 @@ def _experiment(saved: Mapping[str, Any]) -> Experiment:
     }
     e._sampled(signals, None if saved["mesh_times"] is None else io.to_array(saved["mesh_times"]))
     e._history = tuple(map(str, saved["history"]))
+    e._read_as = _read_as(saved.get("read_as", {}))
     return e
+
+
+def _read_as(saved: Any) -> dict[str, Any]:
+    """Return options of `read`; raise TypeError for what is none."""
+    kinds: dict[str, Any] = {
+        "time": str,
+        "rate": (int, float),
+        "rename": dict,
+        "units": dict,
+        "convert": bool,
+        "columns": list,
+    }
+    if not isinstance(saved, dict) or not all(isinstance(given, kinds.get(n, ())) for n, given in saved.items()):
+        raise TypeError("read_as holds other things than options of read")
+    units = {n: unit if isinstance(unit, str) else tuple(map(str, unit)) for n, unit in saved.get("units", {}).items()}
+    return {**saved, "units": units} if units else dict(saved)
 
 
 def _solution(saved: Mapping[str, Any]) -> Solution:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DataError, UnknownName, did_you_mean, joined, listing
+from ..errors import DataError, UnknownName, counted, did_you_mean, joined, listing
 from ..figures import WIDTH, Panels, headline, plain, styled
 from ..fit_result import FitResult
 from ..notebook import bullets, notebook_page, table
@@ -107,7 +107,7 @@ class Correlation:
 
     def _repr_html_(self) -> str:
         pairs = [[a, b, f"{rho:+.3f}"] for a, b, rho in self.pairs()]
-        note = f"{len(self.names)} parameters, {len(pairs)} pairs above {_STRONG:g}"
+        note = f"{counted(len(self.names), 'parameter')}, {counted(len(pairs), 'pair')} above {_STRONG:g}"
         weak = bullets(f"Weakly identified: {w}." for w in self.weak)
         return notebook_page("Correlation", table(["", "", "correlation"], pairs, "llr"), weak, note=note)
 
@@ -118,7 +118,8 @@ class Correlation:
         return self.summary()
 
     def __repr__(self) -> str:
-        return f"<Correlation of {len(self.names)} parameters: {len(self.pairs())} pairs above {_STRONG:g}>"
+        pairs = counted(len(self.pairs()), "pair")
+        return f"<Correlation of {counted(len(self.names), 'parameter')}: {pairs} above {_STRONG:g}>"
 
 
 _SHOWN = 5

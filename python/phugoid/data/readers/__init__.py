@@ -14,9 +14,28 @@ from numpy.typing import ArrayLike
 
 from ...errors import DataError, MissingDependency, PhugoidError, nearest
 
-__all__ = ["KINDS", "Column", "Source", "contents", "existing", "load", "reading", "split_unit", "stem"]
+__all__ = [
+    "KINDS",
+    "TIMES",
+    "TIME_UNITS",
+    "Column",
+    "Source",
+    "contents",
+    "existing",
+    "load",
+    "reading",
+    "split_unit",
+    "stem",
+]
 
 KINDS = ".mat, .h5, .hdf5, .parquet, .ulg, .bin"
+# Names of a time column that need no `time=`, in any case; of several none is taken. ("T" is no time but a thrust.)
+TIME_UNITS = ("s", "ms", "us", "ns")
+TIMES = (
+    *("time", "elapsed", "elapsed time", "elapsed_time", "time elapsed", "time_elapsed", "seconds", "sec"),
+    *("zeit", "temps", "tiempo", "tempo", "tijd"),
+    *(f"{name}_{unit}" for name in ("time", "t", "timestamp") for unit in TIME_UNITS),
+)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import DataError
-from . import Column, Source, contents, existing, load, reading, split_unit, stem
+from . import TIMES, Column, Source, contents, existing, load, reading, split_unit, stem
 
 __all__ = [
     "is_frame",
@@ -33,7 +33,8 @@ def read_frame(data: Any, time: str | None) -> Source:
     """Read the columns of a table in memory; the unit is part of a name such as ``alpha [deg]``, or in xarray the
     attribute ``units``.
 
-    pandas: an index with a name, or one of times, is a column too, and the time unless there is one called so.
+    pandas: an index with a name, or one of times, is a column too, and the time unless there is one called so. An index
+    of integers without a name numbers the rows, and is no time.
     xarray: each dimension is a clock of its own, whose times are its coordinate, or ``time`` along it.
     """
     return _READERS[_kind(data)](data, time)
@@ -50,8 +51,8 @@ def _pandas(frame: Any, time: str | None) -> Source:
     columns = [_column(name, partial(_of_pandas, frame, j)) for j, name in enumerate(names)]
     index = frame.index
     time_name = "t" if time is None else time
-    if time_name not in [column.name for column in columns] and getattr(index, "nlevels", 1) == 1:
-        own = index.name is None and type(index).__name__ != "RangeIndex"
+    if not _has_times(time, [column.name for column in columns]) and getattr(index, "nlevels", 1) == 1:
+        own = index.name is None and np.asarray(index).dtype.kind not in "iu"
         if own or index.name is not None:
             name = time_name if own else str(index.name)
             clock = _column(name, lambda _: index.to_numpy())
@@ -60,6 +61,11 @@ def _pandas(frame: Any, time: str | None) -> Source:
             if times is not None:
                 columns[0] = Column(clock.name, clock.values, clock.unit, clock.header, times)
     return _source(columns, "the DataFrame")
+
+
+def _has_times(time: str | None, names: Sequence[str]) -> bool:
+    """Return whether a column has the name of the times: as given, else any that needs no ``time=``."""
+    return time in names if time is not None else any(n == "t" or n.lower() in TIMES for n in names)
 
 
 def _of_pandas(frame: Any, j: int, name: str) -> Any:
@@ -149,13 +155,13 @@ def read_parquet(path: Path, time: str | None) -> Source:
     with reading(path, _KIND):
         schema = parquet.read_schema(path)
         fields = list(schema)
-    names = [field.name for field in fields]
+    labels = [split_unit(field.name)[0] for field in fields]
     columns = []
     for field in fields:
         name, unit = split_unit(field.name)
         metadata = field.metadata or {}
         unit = next((metadata[key].decode("utf-8", "replace") for key in (b"units", b"unit") if key in metadata), unit)
-        if name == "__index_level_0__" and (time or "t") not in names:
+        if name == "__index_level_0__" and not _has_times(time, labels) and "int" not in str(field.type):
             name = time or "t"
         columns.append(Column(name, _reader(parquet, path, field.name), unit, field.name))
     return Source(str(path), stem(path), columns)

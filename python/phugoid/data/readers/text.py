@@ -53,8 +53,9 @@ class _Table:
 _MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
 # Numbers that stand for missing samples in many files; a column whose other values come near them may mean them.
 _FILLED, _NEAR = (-9999.0, -99999.0), 0.5
-# A number with a decimal comma, which is refused: it may separate thousands.
-_COMMA = re.compile(r"[+-]?\d+,\d+")
+# A number with a comma, which may be a decimal one or separate thousands, and one in which it may be either.
+_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
+_EITHER = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 _WORDS = re.compile(r"[^\W\d]")
 # A date and a time of ISO 8601, with seconds and an offset from UTC where they are given.
 _DATE = re.compile(
@@ -108,6 +109,8 @@ def _parse(path: Path, columns: Sequence[str] | None, delimiter: str | None) -> 
             raise DataError(f"{file}, line {number}: has {len(row)} fields, but {source} {len(names)}")
     if not rows:
         raise DataError(f"{file}: has a header but no rows of data")
+    if _decimal_commas(rows):
+        rows = [[cell.replace(",", ".") if _COMMA.fullmatch(cell) else cell for cell in row] for row in rows]
     for name in names:
         if names.count(name) > 1:
             raise DataError(f"{file}: two columns are called '{name}'; name all columns with columns=[...]")
@@ -192,6 +195,15 @@ def _is_text(cell: str) -> bool:
     return False
 
 
+def _decimal_commas(rows: list[list[str]]) -> bool:
+    """Return whether commas in numbers are decimal ones: no number has a point, and in one of them at least the comma
+    cannot separate thousands."""
+    commas = [cell for row in rows for cell in row if "," in cell and _COMMA.fullmatch(cell)]
+    if not commas or all(map(_EITHER.fullmatch, commas)):
+        return False
+    return not any("." in cell and not _is_text(cell) for row in rows for cell in row)
+
+
 def _numbers(table: _Table, j: int, name: str) -> NDArray[Any]:
     cells = [row[j] for row in table.rows]
     try:
@@ -206,7 +218,8 @@ def _numbers(table: _Table, j: int, name: str) -> NDArray[Any]:
             values[i] = np.nan if cell.lower() in _MISSING else float(cell)
         except ValueError:
             comma = (
-                " (a decimal comma? write points, or give ph.read(pandas.read_csv(..., sep=';', decimal=',')))"
+                " (decimal commas or thousands? The file does not tell: write points, or give "
+                "ph.read(pandas.read_csv(..., sep=';', decimal=',')))"
                 if _COMMA.match(cell)
                 else ""
             )

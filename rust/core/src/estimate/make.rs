@@ -120,7 +120,10 @@ fn assessed(
         let said = if status == Status::Unidentifiable { &message } else { Status::Unidentifiable.hint() };
         let each = scalings.iter().map(|s| {
             let names: Vec<&str> = s.exponents.iter().map(|e| e.0.as_str()).collect();
-            format!("{}: one scale is free", names.join(", "))
+            match names[..] {
+                [one] => format!("{one}: without influence"),
+                _ => format!("{}: one scale is free", names.join(", ")),
+            }
         });
         message = format!("{said} ({})", each.collect::<Vec<_>>().join("; "));
         status = Status::Unidentifiable;

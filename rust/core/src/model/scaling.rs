@@ -31,6 +31,13 @@ impl Scaling {
             e if e > 0.0 => format!("s**{}", significant(e, 4)),
             e => format!("s**({})", significant(e, 4)),
         };
+        if let [(name, _)] = &self.exponents[..] {
+            let at = significant(self.at, 6);
+            return format!(
+                "The size of {name} has no influence on the outputs, whatever the data; it was fixed at {at}. Remove it from the \
+                 model, fix it, or give it a prior"
+            );
+        }
         let is_state = |name: &str| model.states.iter().any(|s| s.name == name);
         let scaled: Vec<String> = self.exponents.iter().map(|(n, e)| format!("{n}*{}", power(*e))).collect();
         let names: Vec<&str> = self.exponents.iter().map(|e| e.0.as_str()).collect();
@@ -44,7 +51,7 @@ impl Scaling {
             own => format!(", or give {} a known initial value", own[..own.len().min(3)].join(" or ")),
         };
         format!(
-            "{} cannot be distinguished with any data: the outputs stay the same with {} for every s > 0; {} was held at {}. \
+            "{} cannot be distinguished with any data: the outputs stay the same with {} for every s > 0; {} was fixed at {}. \
              To determine them {fix}{known}, or give one a prior",
             names.join(", "),
             scaled.join(", "),

@@ -90,7 +90,7 @@ def estimate_from_afar(
     solver: Newton | Ipopt | None = None,
     progress: bool | Callable[[Iteration], None] = False,
 ) -> FitResult:
-    """Return the estimate as `estimate` does, by output injection, too, where a start leads to no optimum or a poor one.
+    """Return the estimate as `estimate` does, also by output injection where a start leads to no or a poor optimum.
 
     This is what a user calls, whose start may be far from any optimum. Estimates that other functions make begin next
     to a fit: where these end at a poor optimum, the model misses the motion, and output injection would take long.

@@ -51,7 +51,7 @@ impl<'a> Draws<'a> {
     /// Draws other parameters, in one of three ways in turn: some of them anew; most of the undetermined ones anew, which
     /// where they are have no influence, and few others; all of them moved.
     pub fn others(&mut self, number: usize, at: &Values, undetermined: &dyn Fn(&str) -> bool) -> Values {
-        if Self::moves(number) {
+        if number % 3 == 2 {
             return self.moved(at);
         }
         let any = self.free.iter().any(|&i| undetermined(&self.parameters[i].name));
@@ -60,11 +60,6 @@ impl<'a> Draws<'a> {
         let share = |i: &usize| if undetermined(&self.parameters[*i].name) { of_those } else { others };
         let shares: Vec<f64> = self.free.iter().map(share).collect();
         self.redrawn(at, &shares)
-    }
-
-    /// Tells whether the draw of this number moves all parameters, and draws none anew.
-    pub fn moves(number: usize) -> bool {
-        number % 3 == 2
     }
 
     /// Draws parameters anew within their bounds, each with its probability; one at least.

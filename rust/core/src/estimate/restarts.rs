@@ -14,7 +14,7 @@ use crate::simulate::Method;
 use crate::solver::Status;
 
 /// Restarts in a row that bring no more than this in log-likelihood, before two for each parameter are added; fewer where so many
-/// in a row from parameters of which some are drawn anew end at the same optimum, which then is hardly one of many.
+/// in a row end at the same optimum, which then is hardly one of many.
 const RESTARTS: usize = 20;
 const RETURNS: usize = 8;
 const GAIN: f64 = 1e-3;
@@ -140,8 +140,6 @@ impl Estimation<'_> {
                 break;
             }
         }
-        // All parameters moved a little lead back from any optimum, and say nothing of others.
-        let counts = !Draws::moves(search.without);
         search.without += 1;
         let before = std::mem::take(&mut search.returns);
         let Some(other) = self.along_the_motion(&others, search.likelihood, accuracy, watch)? else {
@@ -160,7 +158,7 @@ impl Estimation<'_> {
         } else {
             let same = reached > search.likelihood - SAME;
             search.again += usize::from(same);
-            search.returns = if same { before + usize::from(counts) } else { 0 };
+            search.returns = if same { before + 1 } else { 0 };
         }
         Ok(())
     }

@@ -160,6 +160,26 @@ def test_restarts_reach_the_optimum_where_a_single_run_does_not(name: str) -> No
     assert count >= 5, ends
 
 
+@pytest.mark.parametrize("make", [oscillating, infection])
+def test_an_end_is_a_solution_where_its_parameters_can_be_simulated(make: Callable[[], Case]) -> None:
+    """Of twelve single runs one or two ended at paths that were no solutions, though the model could be simulated.
+
+    One of these said "converged", and so did one whose model cannot be simulated.
+    """
+    case = make()
+    experiment, random = _record(case), np.random.default_rng(101)
+    noise = ph.Gaussian(dict.fromkeys(case.model.output_names, case.sigma))
+    for _ in range(STARTS):
+        start = {n: v * 10 ** random.uniform(-REACH, REACH) for n, v in case.truth.items()}
+        fit = ph.estimate(case.model, experiment, noise=noise, start=start, solver=ph.Newton(restarts=0))
+        try:
+            ph.simulate(case.model, fit, experiment)
+        except ph.EvaluationError:
+            assert fit.status not in ("converged", "acceptable", "unidentifiable"), fit.summary()
+        else:
+            assert fit.feasible and fit.status != "infeasible", fit.summary()
+
+
 def test_without_restarts_the_optimum_is_that_next_to_the_start() -> None:
     count, _ = reached(oscillating(), ph.Newton(restarts=0), ph.Collocation(), seed=11)
     assert count <= 0.7 * STARTS

@@ -9,6 +9,7 @@ from inspect import signature
 from typing import Any, ParamSpec, TypeVar
 
 from .estimation import estimate as _estimate
+from .estimation import estimate_from_afar
 from .result import Fit
 from .saving import files as io
 from .saving import load as read_fit
@@ -33,7 +34,7 @@ def with_facade(facade: Callable[[_R], _F], name: str, function: Callable[_P, _R
     return public
 
 
-estimate = with_facade(Fit._of, "Fit", _estimate, __name__)
+estimate = with_facade(Fit._of, "Fit", wraps(_estimate)(estimate_from_afar), __name__)
 
 
 def load(path: str | os.PathLike[str]) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -92,3 +93,15 @@ def test_a_summary_names_the_parameters_at_bounds() -> None:
     result = ph.multistart(m, e, {"a": (0.1, 0.9), "b": (0.1, 0.9)}, n=2)
     assert "At bounds in optimum 1: a (upper), b (upper)." in result.summary()
     assert "At bounds" not in run(1, sine(), data=e.with_outputs({"y": np.sin(T)}), ranges={"a": (0.9, 1.1)}).summary()
+
+
+def test_an_optimum_below_which_a_start_was_cut_says_so(rugged: Multistart) -> None:
+    """Of an end at the best optimum nothing was said where another start had been cut at a higher log-likelihood."""
+    best = rugged.optima[0]
+    cut = outcome(len(rugged.outcomes), best.log_likelihood + 5.0, status="time limit")
+    with_cut = replace(rugged, outcomes=(*rugged.outcomes, cut), n=rugged.n + 1)
+    pytest.importorskip("pandas")
+    messages = with_cut.to_pandas()["message"]
+    assert "1 start was cut at a log-likelihood above that of the best optimum" in messages[best.index]
+    assert "was cut at a log-likelihood" not in messages[cut.index]
+    assert any("there is a better optimum" in w for w in with_cut.fit(best.index).warnings)

@@ -28,6 +28,7 @@ from .filter_variables import split
 
 __all__ = [
     "estimate",
+    "estimate_from_afar",
 ]
 
 
@@ -61,8 +62,10 @@ def estimate(
     say so.
 
     Where a run by `Collocation` with `Newton` ends without an optimum, or at one at which no output is matched well
-    (R² below 0.5), other ways from the same start are tried in turn: a regression on the initial paths of the states,
-    steps along paths that satisfy the equations, and the exact Hessian. The message says which one led to the result.
+    (R² below 0.5), other ways from the same start are tried in turn: where outputs are densely sampled and ``start`` is
+    not a fit, estimates with output injection (states are driven towards the measurements, with a gain that falls to
+    zero), a regression on the initial paths of the states, steps along paths that satisfy the equations, and the exact
+    Hessian. The message says which one led to the result.
     A fit without ``solver`` and ``start`` is tried with the noise held at the spread of the measurements first, too;
     a warning says where the likelihood was higher before. ``max_iterations`` below 200 leaves all this out.
 
@@ -77,6 +80,26 @@ def estimate(
     return _estimate(model, data, transcription, noise, start, solver, progress, every_way=True)
 
 
+def estimate_from_afar(
+    model: Model,
+    data: Experiment | Sequence[Experiment],
+    *,
+    transcription: Transcription | FilterError | None = None,
+    noise: Noise | None = None,
+    start: Mapping[str, Any] | FitResult | EquationError | None = None,
+    solver: Newton | Ipopt | None = None,
+    progress: bool | Callable[[Iteration], None] = False,
+) -> FitResult:
+    """Return the estimate as `estimate` does, also by output injection where a start leads to no or a poor optimum.
+
+    This is what a user calls, whose start may be far from any optimum. Estimates that other functions make begin next
+    to a fit: where these end at a poor optimum, the model misses the motion, and output injection would take long.
+    """
+    if isinstance(model, Model):
+        model = model.copy()
+    return _estimate(model, data, transcription, noise, start, solver, progress, every_way=True, from_afar=True)
+
+
 def _estimate(
     model: Model,
     data: Experiment | Sequence[Experiment],
@@ -86,9 +109,10 @@ def _estimate(
     solver: Newton | Ipopt | None = None,
     progress: bool | Callable[[Iteration], None] = False,
     every_way: bool = False,
+    from_afar: bool = False,
 ) -> FitResult:
     """Return the estimate as `estimate` does; without ``every_way``, kinks of the model stay as they are, and a fit
-    that does not converge is not tried again."""
+    that does not converge is not tried again; output injection is tried ``from_afar`` only."""
     deadline = Deadline(solver.time_limit if isinstance(solver, (Newton, Ipopt)) else None)
     experiments = as_experiments(data, "estimate")
     if not isinstance(model, Model):
@@ -138,6 +162,7 @@ def _estimate(
     values = start_values(model, start if isinstance(start, Mapping) else {}, experiments, noise)
     ways = {
         "other_ways": every_way,
+        "output_injection": from_afar,
         "smooth_kinks": every_way,
         "solver_given": solver_given,
         "moving_mesh": _may_move(transcription, start),

@@ -19,7 +19,7 @@ from ..modelling.model import Model
 from ..modelling.noise import Noise, Sigma
 from ..solvers.newton import Newton
 from ..transcription import Transcription
-from . import estimate
+from . import estimate_from_afar
 
 __all__ = ["Draw", "Given", "Outcome", "Problem", "Range", "Uniform", "given", "plain", "stream", "uniform"]
 
@@ -79,7 +79,7 @@ class Problem:
 
     def fit(self, start: Mapping[str, Any]) -> FitResult:
         """Return the fit from a start."""
-        return estimate(
+        return estimate_from_afar(
             self.model,
             self.experiments,
             transcription=self.transcription,

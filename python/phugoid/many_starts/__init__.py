@@ -97,7 +97,8 @@ class Multistart:
     def fit(self, index: int) -> Fit:
         """Return the fit from one start, solved again, with states, outputs and residuals.
 
-        Where it ends at an optimum below the best one known, its warnings say that the optimum is local.
+        Where it ends at an optimum below the best one known, its warnings say that the optimum is local; where another
+        start was cut above the best one, they say that.
         Raises OptionError for a number of no finished start.
         """
         outcome = next((o for o in self.outcomes if o.index == index), None)
@@ -105,8 +106,7 @@ class Multistart:
             raise OptionError(f"fit: start {index!r} is none of the {len(self.outcomes)} finished starts")
         fit = self.problem.fit(outcome.start)
         reached = replace(outcome, status=fit.status, log_likelihood=fit.ranked_log_likelihood)
-        remark = below_best(reached, self.optima, len(self.outcomes))
-        return Fit._of(replace(fit, warnings=(*fit.warnings, *filter(None, [remark]))))
+        return Fit._of(replace(fit, warnings=(*fit.warnings, *filter(None, [self._remark(reached)]))))
 
     def _solved_again(self) -> FitResult:
         if not self.optima:
@@ -213,8 +213,12 @@ class Multistart:
         return frame.reindex(columns=names).astype({"optimum": "Int64"})
 
     def _message(self, outcome: Outcome) -> str:
-        remark = below_best(outcome, self.optima, len(self.outcomes))
-        return "; ".join(filter(None, [outcome.message, remark]))
+        return "; ".join(filter(None, [outcome.message, self._remark(outcome)]))
+
+    def _remark(self, outcome: Outcome) -> str:
+        """Return what to say of an end at an optimum where a better one is known, or where a start was cut above it."""
+        below = below_best(outcome, self.optima, len(self.outcomes))
+        return below or (self._above() if outcome.at_optimum else "")
 
     def _best_optima(self) -> list[Optimum]:
         return [o for o in self.optima if self.optima[0].log_likelihood - o.log_likelihood <= LOG_LIKELIHOOD]

@@ -54,6 +54,7 @@ pub struct Options<'py> {
     moving_mesh: Option<bool>,
     restarts: Option<usize>,
     other_ways: bool,
+    output_injection: bool,
     smooth_kinks: bool,
     /// Whether the user gave options of a solver.
     solver_given: bool,
@@ -225,6 +226,7 @@ pub fn estimate(
         .threads(options.threads)
         .noise_model(noise)
         .other_ways(options.other_ways)
+        .output_injection(options.output_injection)
         .smooth_kinks(options.smooth_kinks);
     if options.solver_given {
         estimation = estimation.solver(

@@ -34,6 +34,10 @@ const LEAST: f64 = 0.5;
 const SHORT: f64 = 0.95;
 /// A step to a smaller gain that loses more than this in log-likelihood for each measured value leads astray.
 const LOSS: f64 = 0.15;
+/// On the way to smaller gains, the log-likelihood for each measured value may fall so far below the highest one in all: residuals then
+/// are half as large again. That of a model with process noise falls all the way, and that of a right one falls where the
+/// motion is chaotic, but less.
+const FALL: f64 = 0.4;
 /// Searches at the first gain from other parameters; rounds of each, after which the way to smaller gains is tried; and restarts in a
 /// row without an increase that end a round, or a search at another gain that is left with difficulty.
 const SEARCHES: usize = 2;
@@ -44,6 +48,8 @@ const FEW: usize = 4;
 const RAISED: f64 = 0.1;
 /// Most iterations on the last mesh of a run: the optimum at one gain need not be known exactly.
 const ITERATIONS: usize = 25;
+/// Most estimates with output injection on a mesh that is given.
+const ESTIMATES: usize = 40;
 
 /// What a model and its records need for output injection.
 pub(super) struct Injection {
@@ -122,6 +128,65 @@ impl Estimation<'_> {
         Ok(())
     }
 
+    /// Returns the fit of the model as it is from the end of a path of estimates with falling gains, each of which begins with
+    /// the parameters and the path of states of the one before. None where the path does not lead to a higher log-likelihood than that
+    /// of a poor fit.
+    ///
+    /// The first estimate begins as the estimation does, or at the poor fit where that leads nowhere. On a densely sampled record a
+    /// mesh with a point at each sample suits all gains, and measurements keep the path of the states in place, so that one
+    /// estimate at each gain suffices.
+    pub(super) fn led_by_injection(&self, poor: &Fit, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
+        let Some(injection) = self.injection() else { return Ok(None) };
+        let Some(injected) = self.injected(&injection, FIRST) else { return Ok(None) };
+        let Injected { model, experiments } = &injected;
+        let begun = Estimation { model, experiments, ..self.clone() };
+        let loss = LOSS * injection.values as f64;
+        let least = if poor.feasible { poor.log_likelihood } else { f64::NEG_INFINITY };
+        // Else it predicts no better over so short a time than the model without injection does at all.
+        let is_better = |fit: &Fit| fit.feasible && fit.log_likelihood >= least + loss;
+        let mut first = begun.solve_on_mesh(watch);
+        if !first.as_ref().is_ok_and(&is_better) && !current().stops() {
+            first = begun.going_on_from(poor).solve_on_mesh(watch);
+        }
+        let first = first?;
+        if !is_better(&first) {
+            return Ok(None);
+        }
+        let (mut highest, fall) = (first.log_likelihood, FALL * injection.values as f64);
+        let (mut fit, mut gain, mut factor) = (first, FIRST, FACTOR);
+        for _ in 0..ESTIMATES {
+            if fit.status.was_stopped() || current().stops() {
+                return Ok(None);
+            }
+            let next = factor * gain;
+            if next <= LAST {
+                let mut end = self.going_on_from(&fit).solve_refined(watch)?;
+                end.iterations += fit.iterations;
+                end.solution.time += fit.solution.time;
+                return Ok(Some(end));
+            }
+            let Some(injected) = self.injected(&injection, next) else { return Ok(None) };
+            let mut found = self.within(&injected).going_on_from(&fit).solve_on_mesh(watch)?;
+            found.iterations += fit.iterations;
+            found.solution.time += fit.solution.time;
+            let close = found.feasible && found.log_likelihood >= fit.log_likelihood - loss;
+            if close || found.feasible && factor > SHORT {
+                if found.log_likelihood < least.max(highest - fall) {
+                    return Ok(None);
+                }
+                highest = highest.max(found.log_likelihood);
+                (fit, gain) = (found, next);
+                factor = (factor * factor.sqrt()).clamp(LEAST, FACTOR);
+            } else if factor > SHORT {
+                return Ok(None);
+            } else {
+                (fit.iterations, fit.solution.time) = (found.iterations, found.solution.time);
+                factor = factor.sqrt();
+            }
+        }
+        Ok(None)
+    }
+
     /// The estimation of a model with injected outputs.
     fn within<'b>(&'b self, injected: &'b Injected) -> Estimation<'b> {
         let max_iterations = self.solver.max_iterations.min(ITERATIONS);
@@ -195,25 +260,36 @@ impl Estimation<'_> {
     /// sampling interval, and the records with these measurements as held inputs. None where a name is taken.
     ///
     /// The output error e of an output g enters each state in proportion to ∂g/∂x: by K e ∂g/∂x / |∂g/∂x|², so that it
-    /// decays by itself as K.
+    /// decays by itself as K. A state that an output measures by itself follows that output alone.
     fn injected(&self, injection: &Injection, gain: f64) -> Option<Injected> {
         let (mut model, mut experiments) = (self.model.clone(), self.experiments.to_vec());
         if gain == 0.0 {
             return Some(Injected { model, experiments });
         }
         let (_, outputs) = self.model.expanded();
+        let states = &self.model.states;
+        let slopes_of = |c: usize| -> Vec<(&str, Expr)> {
+            let slopes = states.iter().map(|s| (s.name.as_str(), outputs[c].derivative(&s.name)));
+            slopes.filter(|(_, d)| d.as_constant() != Some(0.0)).collect()
+        };
+        // Others with an influence on such a state tell no more of it, and may lose their slope, as lift does in a stall.
+        let measured_alone = |c: usize| match &slopes_of(c)[..] {
+            [(state, slope)] if slope.as_constant().is_some() => Some(*state),
+            _ => None,
+        };
+        let followed: Vec<&str> = injection.outputs.iter().filter_map(|o| measured_alone(o.0)).collect();
         for &(c, interval) in &injection.outputs {
+            let mut slopes = slopes_of(c);
+            if measured_alone(c).is_none() {
+                slopes.retain(|(state, _)| !followed.contains(state));
+            }
+            if slopes.is_empty() {
+                continue;
+            }
             let name = &self.model.outputs[c].name;
             let (measured, present) = (format!("measured_{name}"), format!("present_{name}"));
             let z = model.input(&measured, "").ok()?;
             let present = model.input(&present, "").ok()?;
-            let slopes: Vec<(&str, Expr)> = self
-                .model
-                .states
-                .iter()
-                .map(|s| (s.name.as_str(), outputs[c].derivative(&s.name)))
-                .filter(|(_, slope)| slope.as_constant() != Some(0.0))
-                .collect();
             let square = slopes.iter().map(|(_, d)| d * d).reduce(|sum, d| sum + d)?;
             let error = (gain / interval) * present * (z - &outputs[c]) / square;
             for (state, slope) in slopes {

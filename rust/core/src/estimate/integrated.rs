@@ -15,7 +15,7 @@ use crate::mesh::Grid;
 use crate::nlp::Nlp;
 use crate::problem::Transcribed;
 use crate::simulate::{Method, Simulation};
-use crate::solver::Status;
+use crate::solver::{Settings, Status};
 
 /// Tolerances of the integration, and of that by an implicit method where the first is not that of the path.
 const TOLERANCE: f64 = 1e-8;
@@ -51,10 +51,16 @@ impl Estimation<'_> {
         let path = fit.log_likelihood;
         match found {
             Err(e) if !fit.feasible || e.kind() == ErrorKind::Data => {}
-            Err(e) => fit.warnings.push(format!(
-                "the log-likelihood is that of the path on the mesh; whether the path is a solution is not known, since the \
-                 model could not be integrated with these estimates ({e})"
-            )),
+            Err(e) => {
+                if fit.status.is_end() && self.follows_motion() && known {
+                    let status = Status::IterationLimit;
+                    (fit.status, fit.message) = (status, status.hint().into());
+                }
+                fit.warnings.push(format!(
+                    "the log-likelihood is that of the path on the mesh; whether the path is a solution is not known, since the \
+                     model could not be integrated with these estimates ({e})"
+                ));
+            }
             Ok(found) if !fit.feasible => {
                 let text = "the model integrated with these estimates has the log-likelihood";
                 fit.message = format!("{}; {text} {}", fit.message, short(found, 6));
@@ -76,25 +82,63 @@ impl Estimation<'_> {
     }
 
     /// Estimates again on a finer mesh along the motion where the model integrated with the estimates has another
-    /// log-likelihood than the path, and the mesh is one that may be refined.
+    /// log-likelihood than the path, or a log-likelihood where the path is no solution, and the mesh is one that may be
+    /// refined.
     pub(super) fn refine_along_the_motion(&self, fit: &mut Fit, watch: &mut Watch<'_>) -> Result<(), Error> {
         let Some(integrated) = fit.integrated else { return Ok(()) };
-        let differs = (integrated - fit.log_likelihood).abs() > DIFFERENT;
+        // A path that is no solution has no log-likelihood.
+        let no_solution = !fit.feasible && integrated.is_finite();
+        let differs = no_solution || (integrated - fit.log_likelihood).abs() > DIFFERENT;
         let may_refine = self.refine.is_some() || self.follows_motion();
         if !differs || !may_refine || fit.status.was_stopped() || current().stops() {
             return Ok(());
         }
-        let Some(mut finer) = self.along_the_motion(&fit.values(), f64::NEG_INFINITY, FINEST, watch)? else {
-            return Ok(());
-        };
-        self.compare_with_integration(&mut finer);
-        if finer.integrated.is_some_and(|l| l > integrated - DIFFERENT) {
-            finer.iterations += fit.iterations;
-            finer.solution.time += fit.solution.time;
-            finer.refinement = fit.refinement.take();
-            *fit = finer;
+        let is_as_likely =
+            |finer: &Fit| finer.feasible && finer.integrated.is_some_and(|l| l > integrated - DIFFERENT);
+        if let Some(mut finer) = self.along_the_motion(&fit.values(), f64::NEG_INFINITY, FINEST, watch)? {
+            self.compare_with_integration(&mut finer);
+            if is_as_likely(&finer) {
+                finer.iterations += fit.iterations;
+                finer.solution.time += fit.solution.time;
+                finer.refinement = fit.refinement.take();
+                *fit = finer;
+                return Ok(());
+            }
+        }
+        if no_solution && let Some(mut still) = self.at_the_motion(fit, watch)? {
+            self.compare_with_integration(&mut still);
+            if is_as_likely(&still) {
+                *fit = still;
+            }
         }
         Ok(())
+    }
+
+    /// Returns the fit along the model integrated with the parameters where a run ended at a path that is no solution.
+    fn at_the_motion(&self, fit: &Fit, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
+        let solver = Settings { max_iterations: 0, ..self.solver.clone() };
+        let held = Estimation { solver, ..self.clone() };
+        let still = held.along_the_motion(&fit.values(), f64::NEG_INFINITY, FINEST, watch)?;
+        Ok(still.map(|mut still| {
+            let is_wrong = fit.status == Status::Infeasible || fit.status.is_end();
+            still.status = if is_wrong { Status::IterationLimit } else { fit.status };
+            still.message = format!(
+                "{}; the path is that of the model integrated with the parameters where the iterations ended, since theirs was \
+                 no solution of the equations",
+                still.status.hint()
+            );
+            still.iterations += fit.iterations;
+            still.solution.time += fit.solution.time;
+            still
+        }))
+    }
+
+    /// Sets the status of a fit that ended at an optimum of the mesh, but at a path that is no solution of the equations.
+    pub(super) fn believe_no_end_without_solution(fit: &mut Fit) {
+        if !fit.feasible && fit.status.is_end() {
+            fit.status = Status::Infeasible;
+            fit.message = fit.status.hint().into();
+        }
     }
 
     /// Returns the log-likelihood of the model integrated with the estimates of a fit, also where the time of the estimation is

@@ -104,6 +104,7 @@ pub struct Estimation<'a> {
     moving_mesh: Option<bool>,
     restarts: Option<usize>,
     other_ways: bool,
+    output_injection: bool,
     smooth_kinks: bool,
     smoothing_passes: usize,
     /// Whether options of a solver were given.
@@ -134,6 +135,7 @@ impl<'a> Estimation<'a> {
             moving_mesh: None,
             restarts: None,
             other_ways: true,
+            output_injection: true,
             smooth_kinks: true,
             smoothing_passes: 30,
             solver_given: false,
@@ -273,10 +275,17 @@ impl<'a> Estimation<'a> {
     }
 
     /// Whether other ways from the start are tried where a run ends without an optimum, or at one at which no output is matched
-    /// well: a regression, steps along consistent paths, the exact Hessian, and, where neither a start nor a solver is given, a
-    /// run with the noise held first. They are, unless said.
+    /// well: estimates with output injection whose gain falls to zero, a regression, steps along consistent paths, the exact
+    /// Hessian, and, where neither a start nor a solver is given, a run with the noise held first. They are, unless said.
     pub fn other_ways(mut self, try_them: bool) -> Self {
         self.other_ways = try_them;
+        self
+    }
+
+    /// Whether estimates with output injection are one of the other ways. They are, unless said: a start next to the optimum
+    /// has no need of them, and where it ends at a poor one, the model is what misses the motion.
+    pub fn output_injection(mut self, try_it: bool) -> Self {
+        self.output_injection = try_it;
         self
     }
 

@@ -19,19 +19,21 @@ const POOR: f64 = 0.5;
 /// Another way to an optimum from the same start.
 #[derive(Clone, Copy)]
 enum Way {
+    OutputInjection,
     Regression,
     ConsistentPaths,
     ExactHessian,
 }
 
 impl Way {
-    const ALL: [Way; 3] = [Way::Regression, Way::ConsistentPaths, Way::ExactHessian];
+    const ALL: [Way; 4] = [Way::OutputInjection, Way::Regression, Way::ConsistentPaths, Way::ExactHessian];
 
     fn description(self) -> &'static str {
         match self {
             Way::Regression => "a regression on the initial paths of the states",
             Way::ConsistentPaths => "steps along paths that satisfy the equations",
             Way::ExactHessian => "steps with the exact Hessian",
+            Way::OutputInjection => "estimates with output injection, whose gain falls to zero",
         }
     }
 }
@@ -53,11 +55,7 @@ impl Estimation<'_> {
             if !fit.is_poor() || fit.status.was_stopped() || current().stops() {
                 break;
             }
-            let Some(other) = self.by(way) else { continue };
-            let mut other = match other.solve_refined(watch) {
-                Err(e) if e.kind() == ErrorKind::Evaluation => continue,
-                found => found?,
-            };
+            let Some(mut other) = self.end_of(way, &fit, watch)? else { continue };
             other.iterations += fit.iterations;
             other.solution.time += fit.solution.time;
             let better = !other.log_likelihood.is_nan()
@@ -78,6 +76,21 @@ impl Estimation<'_> {
             }
         }
         Ok(fit)
+    }
+
+    /// Returns the end of another way than that of a fit; `None` where there is no such way, or it leads nowhere.
+    fn end_of(&self, way: Way, fit: &Fit, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
+        let found = match self.by(way) {
+            Some(other) => other.solve_refined(watch).map(Some),
+            None if self.output_injection && matches!(way, Way::OutputInjection) => {
+                self.led_by_injection(fit, watch)
+            }
+            None => Ok(None),
+        };
+        match found {
+            Err(e) if e.kind() == ErrorKind::Evaluation => Ok(None),
+            found => found,
+        }
     }
 
     /// Whether another way may lead elsewhere: not from where a fit ended, where kinks are the reason, where a search from many

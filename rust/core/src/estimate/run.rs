@@ -45,6 +45,7 @@ impl Estimation<'_> {
             within.compare_with_integration(&mut fit);
             within.refine_along_the_motion(&mut fit, &mut watch)?;
             within.compare_with_halves(&mut fit)?;
+            Self::believe_no_end_without_solution(&mut fit);
             Ok(fit)
         })
     }

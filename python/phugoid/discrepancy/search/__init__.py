@@ -339,13 +339,17 @@ class Search:
             ]
             if not weak:
                 return at
-            # Of terms that stand for each other the simpler one stays, of those alike what is likelier without the
-            # other; where one set cannot be fitted another may.
+            # Of terms that stand for each other what is of a physical size stays, then the simpler one, of those alike
+            # what is likelier without the other; where one set cannot be fitted another may.
             sets = [[c for c in at.candidates if c is not w] for w in weak]
             self.cache.refits(sets, at.fit)
             refits = [self.cache.again(s, at.fit) for s in sets]
-            fitted = [(complexity(w), r) for w, r in zip(weak, refits, strict=True) if r is not None]
-            following = max(fitted, key=lambda pair: (pair[0], pair[1].merit), default=(0, None))[1]
+            fitted = [
+                (not self._is_beyond_reason(r), complexity(w), r)
+                for w, r in zip(weak, refits, strict=True)
+                if r is not None
+            ]
+            following = max(fitted, key=lambda f: (*f[:2], f[2].merit), default=(False, 0, None))[2]
             if following is None:
                 following = self.cache.refit([c for c in at.candidates if c not in weak], at.fit)
             if following is None:

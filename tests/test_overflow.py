@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import phugoid as ph
 import pytest
+
+import phugoid as ph
 
 _STEP, _SAMPLES, _INNER, _LEVEL, _NOISE = 4.0, 500, 40, 9.0, 0.03
 _OUT, _BETWEEN, _IN = 0.055, 0.05, 0.055

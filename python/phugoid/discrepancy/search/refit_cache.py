@@ -225,7 +225,9 @@ class RefitCache:
         points = self.base.linear.points
         left = self._left(near)
         shares = {c.name: left * self._share(c, candidates) for c in candidates}
-        new = [c for c in candidates if c.several_starts and c.shape_names[0] not in known and shares[c.name] > _LARGE]
+        # Of friction that rests, first order about a motion that never does says little.
+        much = {c.name for c in candidates if shares[c.name] > _LARGE or (c.jumps and c.coefficients)}
+        new = [c for c in candidates if c.several_starts and c.shape_names[0] not in known and c.name in much]
         best = refit(self.base.fit, candidates, starts, near, points)
         elsewhere = self.proposed.get(candidates[-1].name) if candidates else None
         if elsewhere is not None:
@@ -233,8 +235,11 @@ class RefitCache:
             if other is not None and (best is None or other.fit.log_likelihood > best.fit.log_likelihood):
                 best = other
         if best is None:
-            # About a start far off the linearisation that gave it says little: two others.
+            # About a start far off the linearisation that gave it says little: two others, or from nothing.
             last = candidates[-1] if candidates else None
+            if last is not None and last.jumps and last.coefficients:
+                nothing = dict.fromkeys(last.coefficients, 0.0)
+                best = refit(self.base.fit, candidates, {**starts, **nothing}, near, points)
             if last is not None and last.unit_amplitude and not last.several_starts and len(last.shapes) > 2:
                 for k in (0, len(last.shapes) // 2):
                     best = best or refit(self.base.fit, candidates, {**starts, **last.shapes[k]}, near, points)

@@ -4,7 +4,7 @@ several terms that explain the same data equally well.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -187,7 +187,7 @@ class Screen:
                 names[candidate.name] = candidate
                 self._cache.remember(candidate, shape, statistics["base"].amplitudes[i])
         if self._is_evident:
-            for c in self._limits(scan, statistics["clean"]):
+            for c in self._untold(scan, statistics["clean"], at.names):
                 names[c.name] = c
         measured = self._measured(at)
         for c in self._cache.candidates:
@@ -202,13 +202,16 @@ class Screen:
                 self._cache.start_as_proposed(c.name)
         return list(names.values())
 
-    def _limits(self, scan: Scan, statistics: Statistics) -> list[Candidate]:
-        """Return the limits of states, whatever they gain to first order: where a state that is not measured goes far
-        beyond its limit, in a fit that does not know of it, that says little."""
+    def _untold(self, scan: Scan, statistics: Statistics, names: Collection[str]) -> list[Candidate]:
+        """Return limits of stores, and friction that is larger at rest beside that of the model, whatever they gain to
+        first order: in a fit that does not know of them a state goes far beyond its limit, or never rests, so that it
+        says little."""
         best: dict[str, tuple[Candidate, int]] = {}
         for i in np.argsort(-statistics.values):
             candidate = scan.effects[i][0]
-            if isinstance(candidate, Effect) and candidate.family == "limit" and candidate.place.kind == "equation":
+            family = candidate.family if isinstance(candidate, Effect) else ""
+            limit = family == "limit" and candidate.place.kind == "equation"
+            if candidate.name not in names and (limit or (family == "stribeck" and not candidate.beside)):
                 best.setdefault(candidate.name, (candidate, int(i)))
         for candidate, i in best.values():
             self._cache.remember(candidate, scan.effects[i][1], statistics.amplitudes[i])

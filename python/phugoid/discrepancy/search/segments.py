@@ -29,6 +29,7 @@ from ...data.filtering import EVEN, Signal
 from ...fit_result import dataset
 from ...residual_noise import resolution_of
 from ...residual_noise.whitening import Whitening
+from ..candidates.model_structure import ModelStructure
 from .refit import Refit, fitted_to, is_structured, values_of
 
 __all__ = [
@@ -154,7 +155,11 @@ class Thinned:
 
 def thinned(base: Refit, validation: Sequence[Experiment]) -> Thinned | None:
     """Return the fit to means over blocks of samples, as long as the motion and the spectrum of the residuals allow;
-    None where blocks are not worth it, or samples are uneven or missing."""
+    None where blocks are not worth it, or samples are uneven or missing; and for a model with dry friction, of which
+    the reversals are quicker than the motion."""
+    structure = ModelStructure(base.fit.model)
+    if any(structure.has_friction(p, x) for p in structure.places for x in base.fit.model.state_names):
+        return None
     data = [_assigned(e, base) for e in dataset(base.fit)]
     step = _step(data)
     if step is None:

@@ -115,7 +115,7 @@ def test_a_file_that_is_no_table(tmp_path: Path) -> None:
     path = tmp_path / "fit.csv"
     path.write_text("a,b\n1,2\n" + '"' + "x" * 200_000 + '",1\n')
     refuses(ph.DataError, r"fit\.csv: is not a table of text", lambda: ph.read(path))
-    path.write_text("t;x\n0,1;2\n")
+    path.write_text("t;x\n1,000;2,500\n1,001;3,500\n")
     refuses(ph.DataError, r"decimal comma.*pandas\.read_csv\(.*decimal=','\)", lambda: ph.read(path))
 
 

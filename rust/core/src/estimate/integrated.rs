@@ -19,6 +19,8 @@ use crate::solver::{Settings, Status};
 
 /// Tolerances of the integration, and of that by an implicit method where the first is not that of the path.
 const TOLERANCE: f64 = 1e-8;
+/// Tolerance of a run that is to end at a solution of the equations, where one to the usual tolerance did not.
+const TIGHT: f64 = 1e-8;
 const TOLERANCE_AGAIN: f64 = 1e-9;
 /// The integration of all records may take so long, or this part of the time limit where that is less, but always a little.
 const LONGEST: Duration = Duration::from_secs(5);
@@ -131,6 +133,22 @@ impl Estimation<'_> {
             still.solution.time += fit.solution.time;
             still
         }))
+    }
+
+    /// Solves to a smaller tolerance where a run ended at an optimum by its own one, but at a path that is no solution of the
+    /// equations: where a measured state does not vary, its defects are small beside all else.
+    pub(super) fn solve_to_a_solution(&self, fit: &mut Fit, watch: &mut Watch<'_>) -> Result<(), Error> {
+        if fit.feasible || !fit.status.is_end() || self.solver.tolerance <= TIGHT || current().stops() {
+            return Ok(());
+        }
+        let solver = Settings { tolerance: TIGHT, ..self.solver.clone() };
+        let mut found = Estimation { solver, ..self.clone() }.solve_all(watch)?;
+        if found.feasible {
+            found.iterations += fit.iterations;
+            found.solution.time += fit.solution.time;
+            *fit = found;
+        }
+        Ok(())
     }
 
     /// Sets the status of a fit that ended at an optimum of the mesh, but at a path that is no solution of the equations.

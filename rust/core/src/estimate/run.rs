@@ -42,6 +42,7 @@ impl Estimation<'_> {
         // All passes share the time.
         Interrupt::within(self.solver.time_limit).run(|| {
             let mut fit = within.solve_all(&mut watch)?;
+            within.solve_to_a_solution(&mut fit, &mut watch)?;
             within.compare_with_integration(&mut fit);
             within.refine_along_the_motion(&mut fit, &mut watch)?;
             within.compare_with_halves(&mut fit)?;
@@ -51,7 +52,7 @@ impl Estimation<'_> {
     }
 
     /// The fit, made again where it ended for a reason that another way to it may mend.
-    fn solve_all(&self, watch: &mut Watch<'_>) -> Result<Fit, Error> {
+    pub(super) fn solve_all(&self, watch: &mut Watch<'_>) -> Result<Fit, Error> {
         if let Some(fit) = self.smoothed_as_before(watch)? {
             return Ok(fit);
         }

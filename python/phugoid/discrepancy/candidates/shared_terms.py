@@ -3,7 +3,7 @@ declared as quantities, so that a candidate acts on all of them at once."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Set
 from dataclasses import dataclass
 from functools import reduce
 
@@ -87,7 +87,7 @@ class _Split:
     factors: tuple[Expr, ...]
 
 
-def _split(e: Expr, p: str, parameters: Collection[str]) -> _Split | None:
+def _split(e: Expr, p: str, parameters: Set[str]) -> _Split | None:
     """Return an expression divided at a parameter; None where that is not in one product alone."""
     operation, arguments = e.operation
     if operation == "symbol":
@@ -108,7 +108,7 @@ def _split(e: Expr, p: str, parameters: Collection[str]) -> _Split | None:
     if operation == "sub":
         sign = -1.0 if i else 1.0
         return _Split(sign * (inner.rest - other), sign * inner.multiple, inner.factors)
-    varies = not parameters.issuperset(other.symbols)
+    varies = not parameters >= {*other.symbols}
     if operation == "div":
         if varies:
             return _Split(inner.rest / other, inner.multiple, (*inner.factors, 1.0 / other))

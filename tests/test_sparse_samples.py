@@ -162,7 +162,7 @@ def test_restarts_reach_the_optimum_where_a_single_run_does_not(name: str) -> No
 
 @pytest.mark.parametrize("make", [oscillating, infection])
 def test_an_end_is_a_solution_where_its_parameters_can_be_simulated(make: Callable[[], Case]) -> None:
-    """Of twelve single runs one or two ended at paths that were no solutions, though the model could be simulated.
+    """Check single runs: of twelve one or two ended at paths that are no solutions, though the model can be simulated.
 
     One of these said "converged", and so did one whose model cannot be simulated.
     """

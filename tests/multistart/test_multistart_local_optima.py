@@ -96,7 +96,7 @@ def test_a_summary_names_the_parameters_at_bounds() -> None:
 
 
 def test_an_optimum_below_which_a_start_was_cut_says_so(rugged: Multistart) -> None:
-    """Of an end at the best optimum nothing was said where another start had been cut at a higher log-likelihood."""
+    """Remark on an end at the best optimum where another start was cut at a higher log-likelihood: none was made."""
     best = rugged.optima[0]
     cut = outcome(len(rugged.outcomes), best.log_likelihood + 5.0, status="time limit")
     with_cut = replace(rugged, outcomes=(*rugged.outcomes, cut), n=rugged.n + 1)

@@ -106,12 +106,11 @@ class Catalogue:
         difference of two angles."""
         for v in self.structure.exact_in_forces:
             place = Place("quantity", v.symbol)
-            limited = DeadBand, partial(DeadBand, rate=self.structure.rate_of(v)), "deadband"
-            for kind, make, family in (limited, (Saturation, Saturation, "saturation")):
-                words, shape = kind.words.format(name=v.shown, about=""), (self.names(f"{family}_{v.shown}"),)
-                variables = (v.symbol,)
-                effect = make(f"{v.shown}:{family}", place, words, family, self.scales, (), shape, variables=variables)
-                yield effect.on(self.scales)
+            rate = self.structure.rate_of(v)
+            for make, family, of in ((DeadBand, "deadband", rate), (Saturation, "saturation", "")):
+                name, shape = f"{v.shown}:{family}", (self.names(f"{family}_{v.shown}"),)
+                effect = make(name, place, "", family, self.scales, (), shape, variables=(v.symbol,), rate=of)
+                yield effect.on(self.scales)  # with its words and its centre
 
     def _of_the_medium(self) -> Iterator[Effect]:
         """Yield constants in the kinematics of positions: a wind or a current, which carries the vehicle along."""

@@ -322,16 +322,16 @@ class InputBias(Effect):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Limited(Effect):
-    """An input, or a quantity that is defined exactly, of which the part within a limit about its trim matters."""
+    """An input, or a quantity that is defined exactly, of which the part within a limit about its trim matters.
+
+    rate  the quantity that is the rate of the deflection, "" for none: a gear within its play transmits no damping.
+    """
+
+    rate: str = ""
 
     @property
     def centred(self) -> bool:
         return True
-
-    @property
-    def _rate(self) -> str:
-        """Return the name of the quantity that is the rate of what is limited, "" for none."""
-        return ""
 
     least = 0.0  # physical limit, of the greatest deflection
     words = ""  # with places for the input, and for the centre where that is another than its trim
@@ -383,9 +383,9 @@ class _Limited(Effect):
         if self.place.kind == "quantity":
             whole = extension.at(self.place)
             extension.put(self.place, whole + Expr(Expr(change).substitute({name: whole})))
-            if self._rate:
+            if self.rate:
                 slope = Expr((Expr.symbol(name) + Expr(change)).diff(name)).substitute({name: whole})
-                place = Place("quantity", self._rate)
+                place = Place("quantity", self.rate)
                 extension.put(place, Expr(slope) * extension.at(place))
         else:
             extension.replace_input(name, Expr.symbol(name) + change)
@@ -401,17 +401,9 @@ class _Limited(Effect):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeadBand(_Limited):
-    """Deflections within the (half) width about the trim do nothing, larger ones are less by it.
+    """Deflections within the (half) width about the trim do nothing, larger ones are less by it."""
 
-    rate  the quantity that is the rate of the deflection, "" for none: a gear within its play transmits no damping.
-    """
-
-    rate: str = ""
     stage: int = 1
-
-    @property
-    def _rate(self) -> str:
-        return self.rate
 
     @property
     def jumps(self) -> bool:

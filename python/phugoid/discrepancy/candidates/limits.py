@@ -43,7 +43,6 @@ _LOSS, _LITTLE, _PUSH = 200.0, 0.002, 0.05
 # at the other.
 _CROWDED, _OFTEN, _MORE, _RESTS, _FEW = 0.04, 0.06, 1.5, 3.0, 40
 
-
 # Part of an overflow that another store gets, at which the search begins, and at most: stores differ in their areas.
 _PART, _MOST = 0.5, 5.0
 

@@ -240,7 +240,7 @@ class RefitCache:
             if last is not None and last.jumps and last.coefficients:
                 nothing = dict.fromkeys(last.coefficients, 0.0)
                 best = refit(self.base.fit, candidates, {**starts, **nothing}, near, points)
-            if last is not None and last.unit_amplitude and not last.several_starts and len(last.shapes) > 2:
+            elif last is not None and last.unit_amplitude and not last.several_starts and len(last.shapes) > 2:
                 for k in (0, len(last.shapes) // 2):
                     best = best or refit(self.base.fit, candidates, {**starts, **last.shapes[k]}, near, points)
         ends = [best]

@@ -10,10 +10,12 @@ import numpy as np
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ...estimation import estimate
+from ...filter_error import FilterError
 from ...fit_result import ENDED_WELL, FitResult, dataset
 from ...modelling.model import Model
 from ...solvers import HINTS, check_time
 from ...solvers.newton import Newton
+from ...transcription import Transcription
 from ..candidates.candidate import Candidate
 from ..candidates.shared_terms import with_shared_terms
 from .refit import Refit, refit, values_of
@@ -48,16 +50,10 @@ def of_shared_terms(fit: FitResult) -> FitResult:
     model = with_shared_terms(fit.model)
     if model is fit.model or fit.status not in ENDED_WELL:
         return fit
-    check_time()
-    try:
-        again = estimate(model, dataset(fit), transcription=fit.transcription, noise=fit.noise, start=fit)
-    except (PhugoidError, np.linalg.LinAlgError):
-        return fit
-    if again.status == "interrupted":
-        raise KeyboardInterrupt
+    again = _estimated(fit, model, start=fit, transcription=fit.transcription)
     # The problem is the same: another optimum is not what was asked about.
-    same = abs(again.log_likelihood - fit.log_likelihood) < _SAME
-    return again if same and again.status in ENDED_WELL else fit
+    same = again is not None and abs(again.log_likelihood - fit.log_likelihood) < _SAME
+    return again if again is not None and same else fit
 
 
 def restarted(fit: FitResult, validation: Sequence[Experiment]) -> Restart:
@@ -114,18 +110,28 @@ def _with_fixed(fit: FitResult) -> tuple[FitResult | None, list[str]]:
     return (now, fixed) if now.status in ENDED_WELL else (None, [])
 
 
-def _estimated(fit: FitResult, model: Model, start: FitResult | dict[str, float] | None = None) -> FitResult | None:
+def _estimated(
+    fit: FitResult,
+    model: Model,
+    start: FitResult | dict[str, float] | None = None,
+    transcription: Transcription | FilterError | None = None,
+) -> FitResult | None:
     """Return an estimation from the same records that ended at an optimum; None else."""
-    found = _ended(fit, model, start)
+    found = _ended(fit, model, start, transcription)
     return found if found is not None and found.status in ENDED_WELL else None
 
 
-def _ended(fit: FitResult, model: Model, start: FitResult | dict[str, float] | None) -> FitResult | None:
+def _ended(
+    fit: FitResult,
+    model: Model,
+    start: FitResult | dict[str, float] | None,
+    transcription: Transcription | FilterError | None = None,
+) -> FitResult | None:
     """Return an estimation from the same records, however it ended; None where it cannot be made."""
     check_time()
     solver = Newton(max_iterations=_ITERATIONS, time_limit=max(_SECONDS, _TIMES * fit.time))
     try:
-        found = estimate(model, dataset(fit), noise=fit.noise, start=start, solver=solver)
+        found = estimate(model, dataset(fit), transcription=transcription, noise=fit.noise, start=start, solver=solver)
     except (PhugoidError, np.linalg.LinAlgError):
         return None
     if found.status == "interrupted":

@@ -222,10 +222,10 @@ class Screen:
         """Return samples of each experiment by output, and by the state that an output shows alone."""
         model = at.linear.model
         measured = {n: [r.measured[n] for r in at.fit.records] for n in model.output_names}
+        states = {*model.state_names}
         for (kind, output), e in model._right_hand_sides().items():
-            for x in model.state_names if kind == "output" else ():
-                if e == Expr.symbol(x):
-                    measured.setdefault(x, measured[output])
+            if kind == "output" and e.operation[0] == "symbol" and states.issuperset(e.symbols):
+                measured.setdefault(str(e), measured[output])
         return measured
 
     def plainest(self, at: Refit) -> list[Candidate]:

@@ -19,9 +19,9 @@ use crate::solver::{Settings, Status};
 
 /// Tolerances of the integration, and of that by an implicit method where the first is not that of the path.
 const TOLERANCE: f64 = 1e-8;
+const TOLERANCE_AGAIN: f64 = 1e-9;
 /// Tolerance of a run that is to end at a solution of the equations, where one to the usual tolerance did not.
 const TIGHT: f64 = 1e-8;
-const TOLERANCE_AGAIN: f64 = 1e-9;
 /// The integration of all records may take so long, or this part of the time limit where that is less, but always a little.
 const LONGEST: Duration = Duration::from_secs(5);
 const LEAST: Duration = Duration::from_millis(100);

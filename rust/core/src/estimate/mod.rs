@@ -282,7 +282,7 @@ impl<'a> Estimation<'a> {
         self
     }
 
-    /// Whether estimates with output injection are one of the other ways. They are, unless said: a start next to the optimum
+    /// Sets whether estimates with output injection are one of the other ways. They are, unless said: a start next to the optimum
     /// has no need of them, and where it ends at a poor one, the model is what misses the motion.
     pub fn output_injection(mut self, try_it: bool) -> Self {
         self.output_injection = try_it;

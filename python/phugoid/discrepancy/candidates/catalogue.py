@@ -29,7 +29,8 @@ from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, Overflow, RateLimit, StateLimit
 from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable
 from .scales import Scales, output_key
-from .terms import FORMS, Jump, LaggedVariable, ParameterDrift, Periodic, Rate, Ripple, Term, where
+from .terms import FORMS, LaggedVariable, Periodic, Rate, Ripple, Term, where
+from .variation import Jump, ParameterDrift
 
 __all__ = ["Catalogue", "Names", "stem"]
 

@@ -1,5 +1,4 @@
-"""Terms times a coefficient in a quantity, a state equation or an output: expressions, lagged and periodic ones; and
-parameters that drift."""
+"""Terms times a coefficient in a quantity, a state equation or an output: expressions, lagged and periodic ones."""
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._core import Expr
-from ...functions import Table, cos, sin, smooth_abs, smooth_sign, smooth_step, sqrt
+from ...functions import Table, cos, sin, smooth_abs, smooth_sign, sqrt
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
 from .candidate import Candidate, Effect, ExtensionBuilder, largest_coefficient, place_range
@@ -19,9 +18,7 @@ from .scales import Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lag
 
 __all__ = [
     "FORMS",
-    "Jump",
     "LaggedVariable",
-    "ParameterDrift",
     "Periodic",
     "Rate",
     "Ripple",
@@ -424,74 +421,3 @@ class Ripple(Effect):
         a, b = self.coefficients
         waves = [shape[self.shape_names[0]] for shape in self.shapes]
         return {a: (-largest, largest), b: (-largest, largest), self.shape_names[0]: (min(waves), max(waves))}
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ParameterDrift(Effect):
-    """The parameter p becomes p + d (t - tm) / T, with the middle tm of the record and its length T: d is its change
-    over the record. That is another in another record."""
-
-    transferable = False
-
-    def _share(self, t: Expr) -> Expr:
-        return Expr((t - (self.scales.begin + 0.5 * self.scales.duration)) / self.scales.duration)
-
-    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
-        middle = self.scales.begin + 0.5 * self.scales.duration
-        return ((points.t - middle) / self.scales.duration)[np.newaxis]
-
-    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = ExtensionBuilder(model, self, start)
-        d = extension.parameter(self.coefficients[0], unit=model.units.get(self.place.name, ""))
-        extension.replace_parameter(
-            self.place.name, Expr.symbol(self.place.name) + d * self._share(Expr.symbol("time"))
-        )
-        return extension.model()
-
-    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        return {self.coefficients[0]: (-np.inf, np.inf)}
-
-
-# Times at which a parameter may jump, and the width of the jump in samples.
-_TIMES, _WIDE = 24, 2.0
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Jump(Effect):
-    """A parameter p becomes p + d from a time on: a load that is dropped, a flap that is set, a part that fails. Or an
-    output does: an altimeter that is set anew, an encoder that slips."""
-
-    transferable = False
-
-    @property
-    def several_starts(self) -> bool:
-        return True
-
-    def grid(self) -> Iterable[float]:
-        shares = np.arange(1, _TIMES + 1) / (_TIMES + 1)
-        return np.asarray(self.scales.begin + self.scales.duration * shares)
-
-    @property
-    def _width(self) -> float:
-        return _WIDE * self.scales.interval
-
-    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
-        late = (points.t - shape[self.shape_names[0]]) / self._width
-        return (0.5 * (1.0 + np.tanh(late)))[np.newaxis]
-
-    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = ExtensionBuilder(model, self, start)
-        (name,) = self.shape_names
-        d = extension.parameter(self.coefficients[0], unit=model.units.get(self.place.name, ""))
-        span = self.scales.begin, self.scales.begin + self.scales.duration
-        at = extension.parameter(name, self.shapes[len(self.shapes) // 2][name], bounds=span, unit=model.time_unit)
-        jump = d * smooth_step(Expr.symbol("time") - at, self._width)
-        if self.place.kind == "output":
-            extension.add(self.place, jump)
-        else:
-            extension.replace_parameter(self.place.name, Expr.symbol(self.place.name) + jump)
-        return extension.model()
-
-    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        times = [shape[self.shape_names[0]] for shape in self.shapes]
-        return {self.coefficients[0]: (-np.inf, np.inf), self.shape_names[0]: (min(times), max(times))}

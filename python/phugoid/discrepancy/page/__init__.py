@@ -156,6 +156,8 @@ def _estimated(finding: Finding) -> list[str]:
         return [f"Amplitude: {value}, at {time.per(number(abs(values[2]) / (2.0 * math.pi), 3))}."]
     if len(values) == 3 and ":periodic_" in finding.cause:
         return [f"Amplitude: {value}, period {number(2.0 * math.pi / abs(values[2]), 4)}."]
+    if "," in finding.cause:  # of several parameters that change at one time each is named
+        value = f"{next(iter(finding.parameters))} = {value}"
     lines = [f"Estimated: {value}."]
     others = [
         repr(Estimate(name, value, error if error > 0.0 else math.nan, finding.units.get(name, "")))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..candidates.candidate import Candidate
+from ..candidates.variation import CommonJump
 from .evidence import Assessment, Evidence, is_determined, is_physical
 from .free_run import Explained
 from .refit import HeldOut, Refit, is_structured
@@ -33,12 +34,14 @@ class RefittingSettings:
     alike   the same, of those whose effect is nearly the same.
     apart   estimates with a correlation below this are taken as independent.
     rounds  replacements at most.
+    sure    standard errors that each of several parameters must change by that change at one time.
     """
 
     again: int = 4
     alike: int = 3
     apart: float = 0.3
     rounds: int = 4
+    sure: float = 3.0
 
 
 class Refitting:
@@ -52,7 +55,21 @@ class Refitting:
         simple ones."""
         chosen = self._screen.simple(at) if simple else self._screen.shortlist(at, times)
         refits = self._cache.refits([[*at.candidates, c] for c in chosen], at.fit)
-        return [t for t in refits if t is not None and is_determined(t, t.candidates[-1])]
+        found = [self._with_sure_changes(t) for t in refits if t is not None]
+        return [t for t in found if is_determined(t, t.candidates[-1])]
+
+    def _with_sure_changes(self, at: Refit) -> Refit:
+        """Return the refit without parameters that change at a time with others by no more than their errors."""
+        while isinstance(last := at.candidates[-1], CommonJump):
+            sizes = at.parameters(last)
+            sure = [c for c in last.coefficients if abs(sizes[c][0]) > self.settings.sure * sizes[c][1]]
+            if len(sure) < 2 or len(sure) == len(last.coefficients):
+                break
+            fewer = self._cache.refit([*at.candidates[:-1], last.only(sure)], at.fit)
+            if fewer is None:
+                break
+            at = fewer
+        return at
 
     def settled(self, at: Refit, rejected: Collection[str] = ()) -> Refit:
         """Return a refit with terms replaced by better ones where there are any, until nothing changes; without those

@@ -16,6 +16,7 @@ from ...modelling.model import Model
 from ...residual_noise.whitening import Filter, Whitening
 from ..candidates.candidate import Candidate, Effect, is_function
 from ..candidates.model_structure import ANGLES
+from ..candidates.variation import CommonJump, Jump
 from .refit import Refit, is_structured
 from .refit_cache import RefitCache
 from .scan import Scan, Statistics
@@ -50,6 +51,8 @@ _SAME = 1.0
 _MOST, _AS_MUCH, _LEAVES, _TRIFLE = 0.5, 0.95, 3.0, 0.01
 # Functions of one variable that are fitted in place of another one.
 _FUNCTIONS = 8
+# Singular values of changes of several parameters, in parts of the largest, below which they are the same.
+_RANK = 1e-4
 
 
 def complexity(candidate: Candidate) -> int:
@@ -189,6 +192,9 @@ class Screen:
         if self._is_evident:
             for c in self._untold(scan, statistics["clean"], at.names):
                 names[c.name] = c
+            jump = self._common_jump(scan, statistics["clean"])
+            if jump is not None and jump.name not in at.names:
+                names[jump.name] = jump
         measured = self._measured(at)
         for c in self._cache.candidates:
             suggested = c.suggested(measured) if c.name not in {*names, *at.names} else None
@@ -216,6 +222,33 @@ class Screen:
         for candidate, i in best.values():
             self._cache.remember(candidate, scan.effects[i][1], statistics.amplitudes[i])
         return [c for c, _ in best.values()]
+
+    def _common_jump(self, scan: Scan, statistics: Statistics) -> CommonJump | None:
+        """Return the change of several parameters at one time that gains most to first order, without those that gain
+        less than chance gives; None where one parameter alone does as well."""
+        seen = statistics.seen
+        by_time: dict[float, list[tuple[Jump, _Array]]] = {}
+        for i, (c, shape) in enumerate(scan.effects):
+            if isinstance(c, Jump) and c.place.kind == "parameter" and not isinstance(c, CommonJump):
+                (time,) = shape.values()
+                by_time.setdefault(time, []).append((c, scan.basis(statistics, i)[:, 0]))
+        best: tuple[float, float, list[Jump]] = 0.0, 0.0, []
+        for time, jumps in by_time.items():
+            single = self._threshold(jumps[0][0])
+            columns, kept = np.column_stack([column for _, column in jumps]), list(range(len(jumps)))
+            while kept:
+                part, gains = _gains_beside(columns[:, kept], seen.errors)
+                least = int(np.argmin(gains))
+                if gains[least] > single:
+                    break
+                del kept[least]
+            if kept and part - single * len(kept) > best[0]:
+                best = part - single * len(kept), time, [jumps[k][0] for k in kept]
+        if len(best[2]) < 2:
+            return None
+        found = CommonJump.of(best[2])
+        self._cache.remember(found, {found.shape_names[0]: best[1]}, np.zeros(len(found.coefficients)))
+        return found
 
     @staticmethod
     def _measured(at: Refit) -> dict[str, list[_Array]]:
@@ -337,6 +370,16 @@ class Screen:
                 i = found[name][1]
                 self._cache.remember(scan.effects[i][0], scan.effects[i][1], statistics.amplitudes[i])
         return [scan.effects[found[n][1]][0] for n in order]
+
+
+def _gains_beside(columns: _Array, errors: _Array) -> tuple[float, _Array]:
+    """Return twice the gain in log-likelihood by all columns (n, k), and by each beside the others (k,)."""
+    u, sizes, vt = np.linalg.svd(columns, full_matrices=False)
+    kept = sizes > _RANK * sizes[0]
+    along = u[:, kept].T @ errors
+    coefficients = vt[kept].T @ (along / sizes[kept])
+    precision = np.sum((vt[kept] / sizes[kept, None]) ** 2, axis=0)
+    return float(along @ along), coefficients**2 / np.maximum(precision, 1e-300)
 
 
 def _whole(scan: Scan, statistics: Statistics, candidate: Candidate) -> int:

@@ -27,10 +27,10 @@ from .channel_effects import (
 from .factors import HOW, EquationScale, FactorLaw, ParameterLaw, SaturatingRate
 from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, Overflow, RateLimit, StateLimit
-from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable
+from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable, motion_part
 from .scales import Scales, output_key
 from .terms import FORMS, LaggedVariable, Periodic, Rate, Ripple, Term, where
-from .variation import Jump, ParameterDrift
+from .variation import FallingMass, Jump, ParameterDrift, ParameterWithIntegral
 
 __all__ = ["Catalogue", "Names", "stem"]
 
@@ -84,6 +84,17 @@ class Catalogue:
             d = self.names(f"{name}_{x.shown}")
             yield ParameterLaw(f"{name}:{x.shown}", place, words, "dependence", self.scales, (d,), (), (x.symbol,))
         yield from (self._saturating(name, x) for name, x in self.structure.rates_of_stores)
+        used = [v for v in self.structure.variables if v.kind == "input" and self.structure.used(v.symbol)]
+        used = [v for v in used if v not in conditions]
+        for place, x in product([p for p in self.structure.places if p.kind == "equation"], used):
+            yield self._falling_mass(place, x)
+        for name, x in product(self.structure.acting, used):
+            words = f"{name} changes with the integral of {x.shown} (fuel burnt, charge drawn, heat stored)"
+            d = self.names(f"{name}_integral_{x.shown}")
+            yield ParameterWithIntegral(
+                f"{name}:integral_{x.shown}", Place("parameter", name), words, "integral", self.scales, (d,), (),
+                (x.symbol,),
+            )  # fmt: skip
         for name in self.structure.acting:
             words, place = f"{name} changes during the record", Place("parameter", name)
             yield ParameterDrift(
@@ -155,6 +166,18 @@ class Catalogue:
         words = f"{where(place)} is larger by a factor that changes with {v.shown}, {HOW['exponential']}"
         name, k = f"{self.structure.shown(place)}:scale*{v.shown}", self.names(f"k_{stem(place)}_{v.shown}")
         return FactorLaw(name, place, words, "law", self.scales, (k,), (), (v.symbol,))
+
+    def _falling_mass(self, place: Place, x: Variable) -> FallingMass:
+        shown = self.structure.shown(place)
+        words = (
+            f"the forces in {where(place)} act on a mass, an inertia or a capacity that falls with the integral of "
+            f"{x.shown} (fuel burnt, stock used)"
+        )
+        part = self.names(f"part_of_{stem(place)}_by_{x.shown}")
+        model = self.structure.model
+        motion = motion_part(self.structure.dynamics[place.name], model.state_names)
+        title = f"{shown}:scale*integral_{x.shown}"
+        return FallingMass(title, place, words, "integral", self.scales, (part,), (), (x.symbol,), motion=motion)
 
     def _saturating(self, name: str, x: Variable) -> SaturatingRate:
         words = (

@@ -48,6 +48,7 @@ FAMILIES = (
     "clipped",
     "dependence",
     "saturating",
+    "integral",
     "variation",
     "step",
     "stribeck",

@@ -339,6 +339,18 @@ def addends(e: Expr) -> list[Expr]:
     return [term for a in arguments for term in addends(a)]
 
 
+def motion_part(e: Expr, states: Collection[str]) -> Expr:
+    """Return the terms of a sum or difference that hold no symbols but states and the time: the part of a state
+    equation that is kinematics or gravity, and no force that a parameter or an input has a part in."""
+    operation, arguments = e.operation
+    if operation in ("add", "sub", "neg"):
+        parts = [motion_part(a, states) for a in arguments]
+        if operation == "neg":
+            return Expr(-parts[0])
+        return Expr(parts[0] + parts[1] if operation == "add" else parts[0] - parts[1])
+    return e if {*states, "time"}.issuperset(e.symbols) else Expr(0.0)
+
+
 def _vanishes_at_zero(e: Expr, name: str) -> bool:
     """Tell whether an expression is zero where a variable is, whatever the others."""
     return name in e.symbols and Expr(e.substitute({name: Expr(0.0)})).simplify().constant == 0.0

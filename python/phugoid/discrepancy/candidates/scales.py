@@ -85,6 +85,8 @@ class Scales:
     """Trims, least and greatest values by name (states, inputs, quantities; outputs by `output_key`, rates by
     `rate_key`), numbers of levels of what takes a few values only, and of time (s): first, longest record, interval.
 
+    ``integrals`` are those of inputs over a record, the largest of all records, of inputs that add up to something and
+    not in proportion to time.
     Of names in ``given`` the user gave the trim, of those in ``moved`` a candidate has one of its own.
 
     What is not known is taken as centred at 0, with a range of 1, over 20 s at 50 Hz: a library without data.
@@ -99,6 +101,7 @@ class Scales:
     interval: float = 0.02
     given: frozenset[str] = frozenset()
     moved: frozenset[str] = frozenset()
+    integrals: Mapping[str, float] = field(default_factory=dict)
 
     @staticmethod
     def of(points: Sequence[Points], trim: Mapping[str, float] | None = None) -> Scales:
@@ -119,6 +122,7 @@ class Scales:
             duration=max(float(p.t[-1] - p.t[0]) for p in points),
             interval=min(float(np.median(np.diff(p.t))) for p in points),
             given=frozenset(trim or ()),
+            integrals={n: largest for n in names if (largest := largest_integral(n, points))},
         )
 
     def centre(self, name: str) -> float:
@@ -177,6 +181,28 @@ class Scales:
     def is_positive(self, name: str) -> bool:
         """Tell whether a variable is above zero but for little, as far as is known."""
         return name not in self.low or (self.low[name] + self.high[name] > 0.0 and not self.crosses(name))
+
+
+# Part of the integral of an input's size that it adds up to, from which on it is an amount that is used; and the part
+# of it by which that departs from a straight line, below which it says no more than the time does.
+_ADDS_UP, _BENT = 0.5, 0.03
+
+
+def largest_integral(name: str, points: Sequence[Points]) -> float:
+    """Return the integral of a variable over the record in which it is largest, to two digits; 0 where it does not add
+    up, or does so in proportion to time in all records."""
+    largest, size, bent = 0.0, 0.0, 0.0
+    for p in points:
+        u = p.values[name]
+        steps = np.diff(p.t)
+        z = np.concatenate([[0.0], np.cumsum(0.5 * (u[1:] + u[:-1]) * steps)])
+        if abs(z[-1]) >= abs(largest):
+            largest = float(z[-1])
+            size = float(np.sum(0.5 * (np.abs(u[1:]) + np.abs(u[:-1])) * steps))
+            bent = float(np.max(np.abs(z - z[-1] * (p.t - p.t[0]) / (p.t[-1] - p.t[0]))))
+    if abs(largest) <= _ADDS_UP * size or bent < _BENT * abs(largest):
+        return 0.0
+    return float(f"{largest:.2g}")
 
 
 def levels_of(values: _Array) -> int:

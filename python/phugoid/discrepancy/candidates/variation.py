@@ -1,9 +1,10 @@
-"""Parameters that change in the course of a record: slowly, or at one time; and zeros of sensors that jump."""
+"""Parameters that change in the course of a record: slowly, with the integral of an input, or at one time; and zeros
+of sensors that jump."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,9 @@ from ...functions import smooth_step
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
 from .candidate import Effect, ExtensionBuilder
+from .scales import evaluated, of
 
-__all__ = ["CommonJump", "Jump", "ParameterDrift"]
+__all__ = ["CommonJump", "FallingMass", "Jump", "ParameterDrift", "ParameterWithIntegral"]
 
 _Array = NDArray[np.float64]
 
@@ -44,6 +46,77 @@ class ParameterDrift(Effect):
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         return {self.coefficients[0]: (-np.inf, np.inf)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _WithIntegral(Effect):
+    """An effect of the integral of an input, the ``variables``' only one, since the first sample: z, in parts of the
+    largest of all records."""
+
+    def worthwhile(self) -> bool:
+        return self.variables[0] in self.scales.integrals
+
+    def _integral(self, points: Points) -> _Array:
+        (name,) = self.variables
+        u = of(points.values, name, points, "input")
+        sums = np.cumsum(0.5 * (u[1:] + u[:-1]) * np.diff(points.t))
+        return np.concatenate([[0.0], sums]) / self.scales.integrals.get(name, 1.0)
+
+    def paths(self, points: Points, start: Mapping[str, float]) -> Mapping[str, _Array]:
+        return {f"integral_{self.variables[0]}": self._integral(points)}
+
+    def _state(self, extension: ExtensionBuilder) -> Expr:
+        """Return the integral, which becomes a state of the model under extension."""
+        (name,) = self.variables
+        largest = self.scales.integrals.get(name, 1.0)
+        return extension.state(f"integral_{name}", "", lambda _: Expr.symbol(name) / largest, 0.0)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ParameterWithIntegral(_WithIntegral):
+    """The parameter p becomes p + d z: thrust falls as charge is drawn from a battery, say. d is the change over the
+    record with the largest integral."""
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        return self._integral(points)[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        d = extension.parameter(self.coefficients[0], unit=model.units.get(self.place.name, ""))
+        changed = Expr.symbol(self.place.name) + d * self._state(extension)
+        extension.replace_parameter(self.place.name, changed)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        return {self.coefficients[0]: (-np.inf, np.inf)}
+
+
+# Least and greatest part of a mass that is used over a record.
+_USED = (-0.5, 0.9)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FallingMass(_WithIntegral):
+    """The forces in a state equation, and what of them outputs show, act on a mass that falls: they become
+    1 / (1 - k z) times as large, and k is the part of the mass that is used over the record with the largest integral.
+    The part of the equation that is ``motion`` without forces, such as gravity, stays as it is."""
+
+    motion: Expr = field(default_factory=lambda: Expr(0.0))
+    stage: int = 1  # of terms that were added, too
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        known = evaluated(self.motion, points)
+        return ((points.rates[self.place.name] - known) * self._integral(points))[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        k = extension.parameter(self.coefficients[0], bounds=_USED)
+        used = k * self._state(extension)
+        extension.add(self.place, (extension.at(self.place) - self.motion) * used / (1 - used))
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        return {self.coefficients[0]: _USED}
 
 
 # Times at which a parameter may jump, and the width of the jump in samples.
@@ -142,4 +215,4 @@ class CommonJump(Jump):
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        return super().physical(points) | dict.fromkeys(self.coefficients, (-np.inf, np.inf))
+        return {**super().physical(points), **dict.fromkeys(self.coefficients, (-np.inf, np.inf))}

@@ -1,4 +1,5 @@
-"""Parameters that change at one time: flaps that are set, ice on a wing."""
+"""What changes in the course of a record: parameters at one time, as by flaps or ice; a mass as fuel is burnt; thrust
+as a battery is drawn."""
 
 from __future__ import annotations
 
@@ -53,3 +54,42 @@ def test_parameters_that_change_at_one_time_are_named_together(change: dict[str,
         assert abs(value - size) < 4.0 * error + 0.02 * abs(size)
     time = next(v for n, (v, _) in finding.parameters.items() if n.startswith("time_of"))
     assert abs(time - _TIME) < 2.0 * _STEP
+
+
+def _climb(fuel: float, sag: float) -> ph.Model:
+    """Return a vehicle that climbs by thrust, whose mass falls by a part ``fuel`` and its thrust by a part ``sag`` as
+    the integral of the throttle reaches 25 s."""
+    m = ph.Model("vertical flight")
+    h, v = m.states(h="m", v="m/s")
+    (throttle,) = m.inputs(throttle="1")
+    thrust, drag = m.parameters(thrust=20.0, drag=0.1)
+    used = 0.0
+    if fuel or sag:
+        (used,) = m.states(used="1")
+    force = thrust * (1 - sag * used) * throttle - drag * v
+    mass = 1 - fuel * used
+    m.dynamics(h=v, v=force / mass - 9.81, **({"used": throttle / 25.0} if fuel or sag else {}))
+    m.outputs(h_m=(h, "m"), v_m=(v, "m/s"), az=(force / mass, "m/s²"))
+    return m
+
+
+def _flight(seed: int, fuel: float, sag: float) -> ph.Experiment:
+    rng = np.random.default_rng(seed)
+    t = np.arange(800) * 0.05
+    throttle = np.repeat(rng.uniform(0.2, 1.0, 10), 80)
+    start = {"h": 5.0, "v": 1.0, **({"used": 0.0} if fuel or sag else {})}
+    inputs = ph.Experiment(t, {"throttle": throttle}, interpolation="hold")
+    true = ph.simulate(_climb(fuel, sag), {"thrust": 21.0, "drag": 0.3}, inputs, initial=start)
+    noise = {"h_m": 0.3, "v_m": 0.1, "az": 0.1}
+    outputs = {n: y + noise[n] * rng.standard_normal(t.size) for n, y in true.outputs.items()}
+    return ph.Experiment(t, {"throttle": throttle}, outputs, interpolation="hold")
+
+
+@pytest.mark.parametrize(("fuel", "sag", "cause"), [(0.35, 0.0, "v':scale"), (0.0, 0.25, "thrust:")])
+def test_what_changes_with_the_integral_of_an_input_is_named(fuel: float, sag: float, cause: str) -> None:
+    fit = ph.estimate(_climb(0.0, 0.0), _flight(1, fuel, sag))
+    found = ph.diagnose(fit, validation=_flight(2, fuel, sag)).findings
+    (finding,) = (f for f in found if f.status == "named")
+    assert finding.cause.startswith(cause)
+    assert finding.cause.endswith("integral_throttle")
+    assert finding.explained > 0.9

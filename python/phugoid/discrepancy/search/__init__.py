@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 
 from ...data.experiment import Experiment
+from ...errors import joined
 from ...sensitivities.linearised import Linearised
 from ...time_unit import TimeUnit
 from ..candidates.candidate import Candidate, Effect, added_by_centre
@@ -235,9 +236,10 @@ class Search:
             unexplained = None  # what is left passes for noise
         unexplained = unexplained or self.confirmation.ringing(current)
         left = self.cache.ringing(current) if not (unexplained and unexplained.ringing) else None
-        return self.concluded(
-            current, unexplained, (_rest_rings(left.frequencies, current.fit.model.time_unit),) if left else ()
-        )
+        remarks = [_rest_rings(left.frequencies, current.fit.model.time_unit)] if left else []
+        if self.confirmation.fed_back:
+            remarks.append(_fed_back([*self.confirmation.fed_back]))
+        return self.concluded(current, unexplained, tuple(remarks))
 
     def _interrupted(self, current: Refit) -> SearchResult:
         """Return what had been accepted, by the evidence of that time: beside what came later it may be other."""
@@ -410,6 +412,13 @@ class Search:
         )
         gain = gain.as_fitted(base.fit, final.fit, base.linear.n_rows)
         return ExtensionResult(final.fit.model, final.fit, final.names, gain)
+
+
+def _fed_back(outputs: Sequence[str]) -> str:
+    return (
+        f"An input follows the noise of {joined(outputs)} from sample to sample: a controller acts on what is measured "
+        "there. Terms of inputs that seem to predict this noise were rejected."
+    )
 
 
 def _rest_rings(frequencies: Sequence[float], time: TimeUnit) -> str:

@@ -199,6 +199,8 @@ class Confirmation:
         self._assessment, self.settings = assessment, settings
         # Of terms that were accepted, when they were.
         self.evidence: dict[str, Evidence] = {}
+        # Outputs whose noise an input follows.
+        self.fed_back: dict[str, None] = {}
 
     def accepted(self, current: Refit, tries: Sequence[Refit]) -> tuple[Refit | None, Found | None]:
         """Return, of refits with one more term, the one whose new term is a finding, settled; else what remains
@@ -248,8 +250,11 @@ class Confirmation:
             # What acts as another did is no further chance: of two that are alike one may still predict.
             chances -= not known.issuperset(c.name for c in new)
             known |= {a.name for c in new for a in self._screen.alike(current, c, settled.own.filter)}
-            # A walk of a sensor is coloured noise: nothing about it is unexplained.
-            if unexplained is None and evidence.gain > evidence.clear and not evidence.wanders:
+            # A walk of a sensor is coloured noise, and noise that is fed back explains an input that goes with it.
+            known_noise = evidence.wanders or evidence.follows
+            if evidence.follows:
+                self.fed_back |= {c.place.name: None for c in new if c.place.kind == "output"}
+            if unexplained is None and evidence.gain > evidence.clear and not known_noise:
                 rivals = {c.name: evidence.gain / 2 for c in new}
                 unexplained = Found(None, evidence.gain / 2, evidence.threshold / 2, rivals, evidence.held_out)
         return None, unexplained

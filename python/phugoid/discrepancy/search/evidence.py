@@ -15,6 +15,7 @@ from ..candidates.candidate import Candidate, Effect, place_range
 from ..candidates.model_structure import addends
 from ..candidates.scales import evaluated
 from ..candidates.terms import Periodic
+from .feedback import follows_noise
 from .free_run import Explained, Misfitting, Simulated
 from .refit import HeldOut, LeftOut, Refit, across_blocks, gain_on_other_data, is_structured
 from .refit_cache import RefitCache
@@ -84,6 +85,7 @@ class Evidence:
                and where the model cannot be fitted there.
     rings      whether it is a disturbance at a mode at which the residuals ring.
     wanders    whether a random walk of the sensors is likelier.
+    follows    whether an input follows the noise of a sensor, which a controller feeds back.
     """
 
     gain: float
@@ -94,6 +96,7 @@ class Evidence:
     explained: Explained | None = None
     rings: bool = False
     wanders: bool = False
+    follows: bool = False
 
     @property
     def significant(self) -> bool:
@@ -105,7 +108,7 @@ class Evidence:
         """Tell whether it is a finding: significant, confirmed by the likelihood of held-out data, and the free
         simulation of these is not worse for it."""
         worse = self.explained is None or self.explained.worse
-        return self.significant and self.predicts and not (self.rings or self.wanders or worse)
+        return self.significant and self.predicts and not (self.rings or self.wanders or self.follows or worse)
 
 
 class Assessment:
@@ -137,7 +140,8 @@ class Assessment:
         predicts = self.predicts(held) or self._frees_of_error(base, more)
         rings = predicts and any(self._rings_too(more, c) for c in more.beside(base.candidates))
         wanders = predicts and any(self.wanders(base, more, c) for c in more.beside(base.candidates))
-        return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings, wanders)
+        follows = predicts and any(follows_noise(base, more, c) for c in more.beside(base.candidates))
+        return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings, wanders, follows)
 
     def threshold(self, candidate: Candidate | None = None) -> float:
         """Twice the gain in log-likelihood that chance reaches with none of all candidates; without a candidate that

@@ -237,7 +237,7 @@ class RefitCache:
         if best is None:
             # About a start far off the linearisation that gave it says little: two others, or from nothing.
             last = candidates[-1] if candidates else None
-            if last is not None and last.jumps and last.coefficients:
+            if last is not None and last.coefficients and (last.jumps or not last.shape_names):
                 nothing = dict.fromkeys(last.coefficients, 0.0)
                 best = refit(self.base.fit, candidates, {**starts, **nothing}, near, points)
             elif last is not None and last.unit_amplitude and not last.several_starts and len(last.shapes) > 2:

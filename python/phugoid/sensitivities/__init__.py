@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -43,6 +43,7 @@ class Points:
     rates       name -> (n,): time derivatives of states and inputs, per second.
     outputs     name -> (n,): outputs of the model.
     output_rates  name -> (n,): their time derivatives, per second.
+    parameters  name -> value of the model's parameters in this experiment; nothing where that is not known.
     """
 
     experiment: str
@@ -51,6 +52,7 @@ class Points:
     rates: Mapping[str, _Array]
     outputs: Mapping[str, _Array]
     output_rates: Mapping[str, _Array]
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def n(self) -> int:

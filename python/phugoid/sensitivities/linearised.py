@@ -161,7 +161,7 @@ class Linearised:
             self._by_variable.append(by_variable)
             self._slopes.append({place: f[:, mesh] for place, (f, _) in found.by_place.items()})
             self._direct.append({place: g for place, (_, g) in seen.by_place.items()})
-            self.points.append(self._points(experiment.name, columns, found))
+            self.points.append(self._points(experiment.name, columns, found, theta))
 
     def _at_samples(self, experiment: Experiment, columns: _Array) -> _Array:
         """Columns at the samples, with inputs that are held as the outputs see them: from the sample's time on."""
@@ -172,7 +172,7 @@ class Linearised:
                 columns[row] = interpolated("hold", own, values, columns[0] - delay)
         return columns
 
-    def _points(self, name: str, columns: _Array, found: Any) -> Points:
+    def _points(self, name: str, columns: _Array, found: Any, theta: _Array) -> Points:
         """Return the trajectory at all points; slopes of inputs and outputs come from differences over time."""
         model, t = self.model, columns[0]
 
@@ -184,7 +184,8 @@ class Linearised:
         rates = {n: rate(values[n]) for n in inputs} | dict(zip(model.state_names, found.f, strict=True))
         outputs = dict(zip(model.output_names, found.g, strict=True))
         values |= dict(zip(model.quantity_names, found.quantities, strict=True))
-        return Points(name, t, values, rates, outputs, {n: rate(v) for n, v in outputs.items()})
+        parameters = dict(zip(model.parameter_names, theta.tolist(), strict=True))
+        return Points(name, t, values, rates, outputs, {n: rate(v) for n, v in outputs.items()}, parameters)
 
     @property
     def n_unknowns(self) -> int:

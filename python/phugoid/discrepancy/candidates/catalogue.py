@@ -24,7 +24,7 @@ from .channel_effects import (
     SensorLag,
     SensorScale,
 )
-from .factors import HOW, EquationScale, FactorLaw, ParameterLaw, SaturatingRate
+from .factors import HOW, EquationScale, FactorExponent, FactorLaw, ParameterLaw, SaturatingRate
 from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, Overflow, RateLimit, StateLimit
 from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable, motion_part
@@ -84,6 +84,11 @@ class Catalogue:
             d = self.names(f"{name}_{x.shown}")
             yield ParameterLaw(f"{name}:{x.shown}", place, words, "dependence", self.scales, (d,), (), (x.symbol,))
         yield from (self._saturating(name, x) for name, x in self.structure.rates_of_stores)
+        for name, x in self.structure.factors_of_parameters:
+            words = f"what {name} multiplies goes with another power of {x.shown} than the first"
+            e, place = self.names(f"exponent_{name}_{x.shown}"), Place("parameter", name)
+            title = f"{name}:exponent_{x.shown}"
+            yield FactorExponent(title, place, words, "exponent", self.scales, (e,), (), (x.symbol,))
         used = [v for v in self.structure.variables if v.kind == "input" and self.structure.used(v.symbol)]
         used = [v for v in used if v not in conditions]
         for place, x in product([p for p in self.structure.places if p.kind == "equation"], used):

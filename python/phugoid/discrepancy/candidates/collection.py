@@ -367,4 +367,5 @@ def _random(
     values |= dict(zip(quantities, y[m : m + n_q], strict=True))
     rates = dict(zip(model.state_names, y[m + n_q : m + n_q + n_x], strict=True))
     outputs = dict(zip(model.output_names, y[:m], strict=True))
-    return Points("random", t, values, rates, outputs, {}), list(y[m + n_q + n_x : -1])
+    parameters = dict(zip(model.parameter_names, theta.tolist(), strict=True))
+    return Points("random", t, values, rates, outputs, {}, parameters), list(y[m + n_q + n_x : -1])

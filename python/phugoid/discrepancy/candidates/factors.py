@@ -17,7 +17,7 @@ from .candidate import Candidate, Effect, ExtensionBuilder
 from .channel_effects import Scale
 from .scales import of
 
-__all__ = ["HOW", "EquationScale", "FactorLaw", "ParameterLaw", "SaturatingRate"]
+__all__ = ["HOW", "EquationScale", "FactorExponent", "FactorLaw", "ParameterLaw", "SaturatingRate"]
 
 _Array = NDArray[np.float64]
 
@@ -25,6 +25,8 @@ _Array = NDArray[np.float64]
 _FACTOR, _OF_INERTIA = (0.1, 10.0), (0.3, 3.0)
 # Part of its greatest value above which a variable must stay for a power of it.
 _ABOVE = 0.05
+# Change of the exponent of a factor.
+_EXPONENT = (-1.5, 3.0)
 # Half-saturation constants, in parts of the greatest value of the variable: least, greatest, and number in a scan.
 _HALF, _HALVES = (0.02, 5.0), 6
 
@@ -156,6 +158,37 @@ class ParameterLaw(Effect):
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         return {self.coefficients[0]: (-np.inf, np.inf)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FactorExponent(Effect):
+    """The parameter p of a term p x becomes p (x / x0)^e, where x, the ``variables``' only one, stays positive: the
+    term goes with the power 1 + e of x, as a heat transfer does with a flow."""
+
+    def worthwhile(self) -> bool:
+        return super().worthwhile() and self.scales.stays_positive(*self.variables)
+
+    @property
+    def _reference(self) -> float:
+        return float(f"{self.scales.peak(*self.variables):.2g}") or 1.0
+
+    def _logarithm(self, points: Points) -> _Array:
+        (name,) = self.variables
+        x = of(points.values, name, points, "state, input or quantity") / self._reference
+        return np.asarray(np.log(np.maximum(x, 1e-12)))
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        return (points.parameters.get(self.place.name, 1.0) * self._logarithm(points))[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        (name,) = self.variables
+        e, p = extension.parameter(self.coefficients[0], bounds=_EXPONENT), Expr.symbol(self.place.name)
+        extension.replace_parameter(self.place.name, p * exp(e * log(Expr.symbol(name) / self._reference)))
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        return {self.coefficients[0]: _EXPONENT}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

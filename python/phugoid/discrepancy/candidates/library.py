@@ -47,6 +47,7 @@ FAMILIES = (
     "rate_limit",
     "clipped",
     "dependence",
+    "exponent",
     "saturating",
     "integral",
     "variation",

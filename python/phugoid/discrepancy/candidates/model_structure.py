@@ -226,6 +226,20 @@ class ModelStructure:
             found += [(name, v) for v in stores if slopes and all(_vanishes_at_zero(s, v.symbol) for s in slopes)]
         return found
 
+    @cached_property
+    def factors_of_parameters(self) -> list[tuple[str, Variable]]:
+        """The free parameters, each with a variable that all it multiplies goes with in proportion."""
+        groups = [*self.quantities.values(), *self.dynamics.values()]
+        found = []
+        for name in self.acting:
+            slopes = [Expr(e.diff(name)) for e in groups if name in e.symbols]
+            found += [
+                (name, v)
+                for v in self.variables
+                if slopes and all(_vanishes_at_zero(s, v.symbol) and _is_linear(s, v.symbol) for s in slopes)
+            ]
+        return found
+
     def force_on(self, speed: str) -> Place | None:
         """Return the place at which a force on a state acts: its equation, or a quantity that it increases with, as
         with a force over a mass, or with a torque on the same joint where several are coupled by a mass matrix, whose
@@ -349,6 +363,11 @@ def motion_part(e: Expr, states: Collection[str]) -> Expr:
             return Expr(-parts[0])
         return Expr(parts[0] + parts[1] if operation == "add" else parts[0] - parts[1])
     return e if {*states, "time"}.issuperset(e.symbols) else Expr(0.0)
+
+
+def _is_linear(e: Expr, name: str) -> bool:
+    """Tell whether an expression is linear in a variable."""
+    return name not in Expr(e.diff(name)).simplify().symbols
 
 
 def _vanishes_at_zero(e: Expr, name: str) -> bool:

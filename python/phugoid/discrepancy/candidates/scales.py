@@ -44,8 +44,11 @@ _Array = NDArray[np.float64]
 _HOVERS = 0.3
 # Of the ranges of a variable; below that it does not vary.
 _CONSTANT = 1e-9
-# A variable changes sign where each side of zero has this part of its range.
-_CROSSES = 0.05
+# A variable has values well on both sides of one where each side has this part of its range; and it changes sign where
+# each side of zero has the other one: a wheel may run backwards for short times only.
+_INSIDE, _CROSSES = 0.05, 0.02
+# A variable stays well above zero where its least value is above this part of the greatest.
+_ABOVE = 0.05
 
 
 def trim_of(points: Sequence[Points]) -> dict[str, float]:
@@ -138,7 +141,7 @@ class Scales:
         """Tell whether a variable has values well on both sides of one, as far as is known."""
         if name not in self.low:
             return True
-        edge = _CROSSES * self.span(name)
+        edge = _INSIDE * self.span(name)
         return self.low[name] + edge < value < self.high[name] - edge
 
     def span(self, name: str) -> float:
@@ -170,6 +173,10 @@ class Scales:
             return True
         return min(self.high[name], -self.low[name]) > _CROSSES * (self.high[name] - self.low[name])
 
+    def nearly_crosses(self, name: str) -> bool:
+        """Tell whether a variable changes sign or comes so near to it that it may where the model is right."""
+        return self.crosses(name) or min(abs(self.low[name]), abs(self.high[name])) < _CROSSES * self.span(name)
+
     def reaches_zero(self, name: str) -> bool:
         """Tell whether zero is no further from the values of a variable than these vary: a power of flows, levels and
         speeds is one of the variable itself, and no constant and linear part make up for the distance to a trim."""
@@ -177,6 +184,10 @@ class Scales:
             return True
         low, high = self.low[name], self.high[name]
         return max(low, -high) <= high - low
+
+    def stays_positive(self, name: str) -> bool:
+        """Tell whether a variable stays well above zero, so that any power of it is defined."""
+        return name not in self.low or self.low[name] > _ABOVE * self.high[name]
 
     def is_positive(self, name: str) -> bool:
         """Tell whether a variable is above zero but for little, as far as is known."""

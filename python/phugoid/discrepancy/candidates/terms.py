@@ -221,7 +221,7 @@ class Term(Effect):
         if self.form == "root":
             (x,) = self.variables
             return super().worthwhile() and self.scales.is_positive(x) and self.scales.reaches_zero(x)
-        return super().worthwhile() and (self.form != "sign" or self.scales.crosses(self.variables[0]))
+        return super().worthwhile() and (self.form != "sign" or self.scales.nearly_crosses(self.variables[0]))
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         return evaluated(self.expression, points)[np.newaxis]

@@ -154,7 +154,7 @@ def advice_of(search: Search, result: SearchResult, candidate: Candidate | None,
 
 def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequence[str]) -> str:
     others = [c for c in final.candidates if c is not candidate]
-    named = {c.name: c for c in reversed(search.cache.candidates)}
+    named = search.cache.by_name
     refits = [search.cache.refit([*others, named[name]], final.fit) for name in aliases]
     # Another finding may have an alias of this one for its cause.
     rivals = [r for r in refits if r is not None and not {*r.names} <= {*final.names}]

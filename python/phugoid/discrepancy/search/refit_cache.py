@@ -84,6 +84,12 @@ class RefitCache:
         """Number of candidates, each shape counted."""
         return sum(len(c.shapes) for c in self.candidates)
 
+    @property
+    def by_name(self) -> dict[str, Candidate]:
+        """Return the candidates by name, with those that came up in the search; of variants the first."""
+        refitted = [c for r in self._refits.values() if r is not None for c in r.candidates]
+        return {c.name: c for c in (*refitted, *reversed(self.candidates))}
+
     def known(self, candidates: Sequence[Candidate]) -> Refit | None:
         """Return the refit of a set where there is one already, else None."""
         return self._refits.get(frozenset(c.name for c in candidates))

@@ -310,7 +310,11 @@ class Assessment:
             if first is None or second is None:
                 return None
             assert elsewhere is not None
-            return Simulated.of(second).explained(Simulated.of(first), Misfitting.of(elsewhere))
+            found = Simulated.of(second).explained(Simulated.of(first), Misfitting.of(elsewhere))
+            # What is of the fitted records alone, such as a parameter that jumps, is left out on others. Where these
+            # have the like, the error by that hides what a term does there.
+            if found.significant or all(c.transferable for c in (*one.candidates, *other.candidates)):
+                return found
         misfit = Misfitting.of(root.linear, self._from_blocks(root))
         return self._from_blocks(other).explained(self._from_blocks(one), misfit)
 

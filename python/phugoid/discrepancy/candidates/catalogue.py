@@ -29,7 +29,7 @@ from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, Overflow, RateLimit, StateLimit
 from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable, motion_part
 from .scales import Scales, output_key
-from .terms import FORMS, LaggedVariable, Periodic, Rate, Ripple, Term, where
+from .terms import FORMS, Decaying, LaggedVariable, Periodic, Rate, Ripple, Term, where
 from .variation import FallingMass, Jump, ParameterDrift, ParameterWithIntegral
 
 __all__ = ["Catalogue", "Names", "stem"]
@@ -235,6 +235,7 @@ class Catalogue:
         yield from (term("sign", v) for v in variables if v.speed or v.kind == "input")
         shown, base, words = self.structure.shown(place), stem(place), where(place)
         yield from (self._lagged(place, v) for v in variables)
+        yield from self._near_the_ground(place)
         yield from self._with_memory(place)
         coefficients = self.names(f"{base}_sin"), self.names(f"{base}_cos")
         yield Periodic(
@@ -275,6 +276,26 @@ class Catalogue:
             (self.names(f"tau_{base}_{variable.shown}"),),
             variables=(variable.symbol,),
         )
+
+    def _near_the_ground(self, place: Place) -> Iterator[Effect]:
+        """Yield what decays with a position, unless that is an angle or the place is what its own rate is."""
+        shown, base, units = self.structure.shown(place), stem(place), self.structure.model.units
+        for v in self.structure.variables:
+            if v.kind != "state" or not (self.structure.is_position(v) or units.get(v.symbol, "") in LENGTHS):
+                continue
+            if self.structure.is_angle(v) or place.name == v.symbol:
+                continue
+            words = f"{where(place)} contains a part that decays with {v.shown} (ground effect, a wall, a magnet)"
+            yield Decaying(
+                f"{shown}:exp(-{v.shown})",
+                place,
+                words,
+                "decay",
+                self.scales,
+                (self.names(f"{base}_near_{v.shown}"),),
+                (self.names(f"distance_{base}_{v.shown}"),),
+                variables=(v.symbol,),
+            )
 
     def _with_memory(self, place: Place) -> Iterator[Effect]:
         """Friction that is larger at rest, hysteresis of what moves, and a mode."""

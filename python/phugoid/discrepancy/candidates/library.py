@@ -49,6 +49,7 @@ FAMILIES = (
     "dependence",
     "exponent",
     "saturating",
+    "decay",
     "integral",
     "variation",
     "step",

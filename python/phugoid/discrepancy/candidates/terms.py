@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._core import Expr
-from ...functions import Table, cos, sin, smooth_abs, smooth_sign, sqrt
+from ...functions import Table, cos, exp, sin, smooth_abs, smooth_sign, sqrt
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
 from .candidate import Candidate, Effect, ExtensionBuilder, largest_coefficient, place_range
@@ -18,6 +18,7 @@ from .scales import Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lag
 
 __all__ = [
     "FORMS",
+    "Decaying",
     "LaggedVariable",
     "Periodic",
     "Rate",
@@ -322,6 +323,49 @@ class LaggedVariable(Effect):
         shape = {self.shape_names[0]: 0.02 * self.scales.interval}
         largest = largest_coefficient(self, shape, points)
         return {self.coefficients[0]: (-largest, largest), self.shape_names[0]: (0.0, longest_lag(points))}
+
+
+# Distances over which a force decays, in parts of the range of the position: least, greatest, and number in a scan.
+_DECAY, _DECAYS = (0.03, 1.0), 6
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Decaying(Effect):
+    """c exp(-x / s) with a position x, the ``variables``' only one, and a distance s: what acts near the ground, a wall
+    or a magnet."""
+
+    def worthwhile(self) -> bool:
+        return super().worthwhile() and self.scales.is_positive(*self.variables)
+
+    @property
+    def _origin(self) -> float:
+        (name,) = self.variables
+        return 0.0 if self.scales.reaches_zero(name) else float(f"{self.scales.low[name]:.3g}")
+
+    def grid(self) -> Iterable[float]:
+        low, high = _DECAY
+        return np.asarray(self.scales.span(*self.variables) * np.geomspace(low, high, _DECAYS))
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        x = of(points.values, self.variables[0], points, "state or input")
+        return np.asarray(np.exp(-(x - self._origin) / shape[self.shape_names[0]]))[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        (variable,), (name,) = self.variables, self.shape_names
+        c = extension.parameter(self.coefficients[0])
+        span, first = self.scales.span(variable), self.shapes[len(self.shapes) // 2][name]
+        options = {"bounds": tuple(f * span for f in _DECAY), "transform": "log", "unit": model.units.get(variable, "")}
+        s = extension.parameter(name, first, **options)
+        extension.add(self.place, c * exp(-(Expr.symbol(variable) - self._origin) / s))
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        (name,) = self.shape_names
+        middle = self.shapes[len(self.shapes) // 2]
+        largest = largest_coefficient(self, middle, points)
+        shapes = [shape[name] for shape in self.shapes]
+        return {self.coefficients[0]: (-largest, largest), name: (min(shapes), max(shapes))}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -68,6 +68,7 @@ class Refitting:
             fewer = self._cache.refit([*at.candidates[:-1], last.only(sure)], at.fit)
             if fewer is None:
                 break
+            self._cache.forget(at)
             at = fewer
         return at
 
@@ -278,7 +279,7 @@ class Confirmation:
         """Tell whether the terms that a refit has instead of those of another are plainer, with no more unknowns."""
         new, gone = found.beside(current.candidates), current.beside(found.candidates)
         unknowns = [sum(len(c.parameters) for c in terms) for terms in (new, gone)]
-        return unknowns[0] <= unknowns[1] and max(map(complexity, new)) < min(map(complexity, gone))
+        return unknowns[0] <= unknowns[1] and max(map(complexity, new), default=-1) < min(map(complexity, gone))
 
     def _behind(self, current: Refit, tries: Sequence[Refit]) -> Collection[tuple[str, ...]]:
         """Return the names of refits that simulate held-out data clearly worse than the best of them does."""

@@ -48,6 +48,7 @@ class AssessmentSettings:
     clear        a misfit that no candidate explains is reported when twice the gain of the best is this often its
                  threshold.
     half         part of a mean square that is left where a candidate explains the better part of a misfit.
+    fraction     of what a term leaves of a misfit, below which a drift is ahead of it by what that leaves.
     minor        part of the misfit's power: what explains less in free simulation is a minor finding.
     error        part of the residuals' power that their past predicts, from which on they are error of the model.
     most         part of such a misfit that free simulation of held-out data must be freed of.
@@ -64,6 +65,7 @@ class AssessmentSettings:
     sure: float = 0.5
     clear: float = 1.5
     half: float = 0.5
+    fraction: float = 0.2
     minor: float = 0.05
     error: float = 0.6
     most: float = 0.5
@@ -288,8 +290,13 @@ class Assessment:
         explained = self.explained(base, term)
         if explained is None or self.is_minor(explained):
             return False
-        beyond = self.gain(base, other) - self.gain(base, term)
-        return explained.part > self.settings.half or beyond < self.needed(other, own[-1])
+        if self.gain(base, other) - self.gain(base, term) < self.needed(other, own[-1]):
+            return True
+        if explained.part <= self.settings.half:
+            return False
+        # What leaves next to nothing where the term leaves much is no mere follower.
+        mine = self.explained(base, other)
+        return mine is None or 1.0 - mine.interval[0] > self.settings.fraction * (1.0 - explained.part)
 
     def compared(self, base: Refit, one: Refit, other: Refit) -> Explained | None:
         """Return what another model explains of the misfit of the model that was diagnosed and one does not, by blocks

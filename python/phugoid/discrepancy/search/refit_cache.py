@@ -305,6 +305,10 @@ class RefitCache:
             self._scans[key] = Scan(at.linear, others)
         return self._scans[key]
 
+    def forget(self, at: Refit) -> None:
+        """Have a refit take no further part, and not be made again."""
+        self._refits[frozenset(at.names)] = None
+
     def with_one_more(self, others: Sequence[Candidate]) -> list[Refit]:
         """Return the refits that are known of some candidates and one more."""
         base = frozenset(c.name for c in others)

@@ -237,8 +237,8 @@ class Search:
         unexplained = unexplained or self.confirmation.ringing(current)
         left = self.cache.ringing(current) if not (unexplained and unexplained.ringing) else None
         remarks = [_rest_rings(left.frequencies, current.fit.model.time_unit)] if left else []
-        if self.confirmation.fed_back:
-            remarks.append(_fed_back([*self.confirmation.fed_back]))
+        if self.assessment.fed_back:
+            remarks.append(_fed_back([*self.assessment.fed_back]))
         return self.concluded(current, unexplained, tuple(remarks))
 
     def _interrupted(self, current: Refit) -> SearchResult:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..candidates.candidate import Candidate
 from ..candidates.variation import CommonJump
-from .evidence import Assessment, Evidence, is_determined, is_physical
+from .evidence import Assessment, Evidence, is_physical
 from .free_run import Explained
 from .refit import HeldOut, Refit, is_structured
 from .refit_cache import RefitCache
@@ -56,7 +56,7 @@ class Refitting:
         chosen = self._screen.simple(at) if simple else self._screen.shortlist(at, times)
         refits = self._cache.refits([[*at.candidates, c] for c in chosen], at.fit)
         found = [self._with_sure_changes(t) for t in refits if t is not None]
-        return [t for t in found if is_determined(t, t.candidates[-1])]
+        return [t for t in found if self._assessment.is_admissible(at, t)]
 
     def _with_sure_changes(self, at: Refit) -> Refit:
         """Return the refit without parameters that change at a time with others by no more than their errors."""
@@ -119,7 +119,7 @@ class Refitting:
         if fit:
             wanted = self._screen.rivals(without, candidate, filter, s.again, s.alike)
             self._cache.refits([[*others, c] for c in wanted], at.fit)
-        refits = [r for r in self._cache.with_one_more(others) if all(is_determined(r, c) for c in r.beside(others))]
+        refits = [r for r in self._cache.with_one_more(others) if assess.is_admissible(without, r)]
         reference = at.through(filter).log_likelihood - assess.penalty(at, others) / 2
 
         def margin(r: Refit) -> float:
@@ -200,8 +200,6 @@ class Confirmation:
         self._assessment, self.settings = assessment, settings
         # Of terms that were accepted, when they were.
         self.evidence: dict[str, Evidence] = {}
-        # Outputs whose noise an input follows.
-        self.fed_back: dict[str, None] = {}
 
     def accepted(self, current: Refit, tries: Sequence[Refit]) -> tuple[Refit | None, Found | None]:
         """Return, of refits with one more term, the one whose new term is a finding, settled; else what remains
@@ -251,11 +249,8 @@ class Confirmation:
             # What acts as another did is no further chance: of two that are alike one may still predict.
             chances -= not known.issuperset(c.name for c in new)
             known |= {a.name for c in new for a in self._screen.alike(current, c, settled.own.filter)}
-            # A walk of a sensor is coloured noise, and noise that is fed back explains an input that goes with it.
-            known_noise = evidence.wanders or evidence.follows
-            if evidence.follows:
-                self.fed_back |= {c.place.name: None for c in new if c.place.kind == "output"}
-            if unexplained is None and evidence.gain > evidence.clear and not known_noise:
+            # A walk of a sensor is coloured noise: nothing about it is unexplained.
+            if unexplained is None and evidence.gain > evidence.clear and not evidence.wanders:
                 rivals = {c.name: evidence.gain / 2 for c in new}
                 unexplained = Found(None, evidence.gain / 2, evidence.threshold / 2, rivals, evidence.held_out)
         return None, unexplained
@@ -304,6 +299,8 @@ class Confirmation:
         def stands(r: Refit) -> bool:
             (new,) = r.beside(others)
             if complexity(new) >= rank or not is_physical(r, new) or is_late(new, model):
+                return False
+            if not assess.is_admissible(below, r):
                 return False
             own = assess.gain(below, r)
             if own <= assess.needed(r, new):

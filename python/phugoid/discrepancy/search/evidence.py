@@ -87,7 +87,6 @@ class Evidence:
                and where the model cannot be fitted there.
     rings      whether it is a disturbance at a mode at which the residuals ring.
     wanders    whether a random walk of the sensors is likelier.
-    follows    whether an input follows the noise of a sensor, which a controller feeds back.
     """
 
     gain: float
@@ -98,7 +97,6 @@ class Evidence:
     explained: Explained | None = None
     rings: bool = False
     wanders: bool = False
-    follows: bool = False
 
     @property
     def significant(self) -> bool:
@@ -110,7 +108,7 @@ class Evidence:
         """Tell whether it is a finding: significant, confirmed by the likelihood of held-out data, and the free
         simulation of these is not worse for it."""
         worse = self.explained is None or self.explained.worse
-        return self.significant and self.predicts and not (self.rings or self.wanders or self.follows or worse)
+        return self.significant and self.predicts and not (self.rings or self.wanders or worse)
 
 
 class Assessment:
@@ -126,6 +124,9 @@ class Assessment:
         self._on_validation: dict[tuple[Refit, Refit], HeldOut | None] = {}
         self.not_excited: set[str] = set()
         """Names of candidates that the validation records do not excite."""
+        self._follows: dict[tuple[str, Refit], bool] = {}
+        self.fed_back: dict[str, None] = {}
+        """Names of outputs whose noise an input follows, which a controller feeds back."""
 
     def weigh(self, base: Refit, more: Refit, candidate: Candidate) -> Evidence:
         """Return the evidence for what ``more`` has and ``base`` has not: a candidate, with others that came in its
@@ -142,8 +143,21 @@ class Assessment:
         predicts = self.predicts(held) or self._frees_of_error(base, more)
         rings = predicts and any(self._rings_too(more, c) for c in more.beside(base.candidates))
         wanders = predicts and any(self.wanders(base, more, c) for c in more.beside(base.candidates))
-        follows = predicts and any(follows_noise(base, more, c) for c in more.beside(base.candidates))
-        return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings, wanders, follows)
+        return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings, wanders)
+
+    def is_admissible(self, base: Refit, more: Refit) -> bool:
+        """Tell whether the data determine what a refit has more than another, and it follows no noise."""
+        return all(
+            is_determined(more, c) and not self._follows_noise(base, more, c) for c in more.beside(base.candidates)
+        )
+
+    def _follows_noise(self, base: Refit, more: Refit, candidate: Candidate) -> bool:
+        key = candidate.name, base
+        if key not in self._follows:
+            self._follows[key] = found = follows_noise(base, more, candidate)
+            if found:
+                self.fed_back[candidate.place.name] = None
+        return self._follows[key]
 
     def threshold(self, candidate: Candidate | None = None) -> float:
         """Twice the gain in log-likelihood that chance reaches with none of all candidates; without a candidate that

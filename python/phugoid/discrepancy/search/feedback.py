@@ -21,15 +21,14 @@ _Array = NDArray[np.float64]
 # Samples before, from which the signal of a candidate is predicted; parts of the signal's power that must be predicted,
 # and not, for the two to be told apart.
 _LAGS, _EACH = 10, 1e-4
-# Standard errors by which the part that is not predicted must explain the noise, and by which the coefficients of the
-# two parts must differ; and the part of the one that the other must be below.
-_SURE, _APART, _BELOW = 4.0, 4.0, 0.5
+# By how much twice the log-likelihood of noise that is fed back must be ahead of that of a term.
+_AHEAD = 4.0
 
 
 def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
     """Tell whether the signal of a candidate in an output goes with the noise of that output only by what was not
-    determined before each sample, so that it follows the noise: with two coefficients in place of one, for what its
-    past and that of the residuals predict and for the rest, the first is much the smaller."""
+    determined before each sample, so that it follows the noise: of two coefficients in place of one, for what its past
+    and that of the residuals predict and for the rest, the first is likelier to be zero than to equal the second."""
     if candidate.place.kind != "output" or len(candidate.coefficients) != 1:
         return False
     linear, seen = base.linear, base.own
@@ -50,9 +49,10 @@ def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
     both = np.column_stack([predicted, rest])
     found = np.linalg.lstsq(both, noise, rcond=None)[0]
     left = noise - both @ found
-    errors = np.sqrt(float(left @ left) / left.size * np.diag(np.linalg.inv(both.T @ both)))
-    sure = abs(found[1]) > _SURE * errors[1] and abs(found[0] - found[1]) > _APART * float(np.hypot(*errors))
-    return bool(sure and float(found[0] / found[1]) < _BELOW)
+    squares = float(left @ left) / left.size * np.diag(np.linalg.inv(both.T @ both))
+    # A term has one coefficient for both parts, noise that is fed back none for the first.
+    of_term, of_noise = (found[0] - found[1]) ** 2 / squares.sum(), found[0] ** 2 / squares[0]
+    return bool(of_term > of_noise + _AHEAD)
 
 
 def _lagged(x: _Array) -> _Array:

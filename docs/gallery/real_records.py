@@ -50,7 +50,7 @@ def diagnose(*names: str) -> None:
         for line in [*said(d), f"known: {case.known}"]:
             print(f"    {line}")
     if names[0] in diagnoses:
-        diagnoses[names[0]].plot()
+        diagnoses[names[0]].figures()
 
 
 # %%

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "curve_figure",
+    "diagnosis_figure",
     "diagnosis_figures",
     "explained_figure",
     "findings_figure",
@@ -31,8 +32,17 @@ __all__ = [
 _BARS = 12
 
 
+def diagnosis_figure(diagnosis: DiagnosisResult) -> tuple[Figure, dict[str, Axes]]:
+    """Return the figure of `Diagnosis.plot` and its axes by name; see there."""
+    if any(np.isfinite(f.explained) for f in diagnosis.findings):
+        return explained_figure(diagnosis.findings)
+    if diagnosis.ranking:
+        return ranking_figure(diagnosis.ranking, diagnosis.threshold)
+    return diagnosis.misfit.plot()
+
+
 def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
-    """Return the figures of `Diagnosis.plot`; see there."""
+    """Return the figures of `Diagnosis.figures`; see there."""
     figures = []  # as they are made, so they are shown in a notebook
     if any(np.isfinite(f.explained) for f in diagnosis.findings):
         figures.append(explained_figure(diagnosis.findings)[0])

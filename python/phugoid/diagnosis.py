@@ -154,8 +154,8 @@ class Diagnosis(DiagnosisResult, Generic[_F]):
         """Write the diagnosis, for `load`: fit, findings, ranking, misfit in words, extended model with fit and gain.
 
         HDF5 where the suffix is ``.h5`` or ``.hdf5``, else JSON; raises as `Fit.save` does.
-        `load` returns all of this, with ``summary``, ``plot``, ``figures`` and ``report``; the misfit is computed again from the
-        fit's residuals.
+        `load` returns all of this, with ``summary``, ``plot``, ``figures`` and ``report``; the misfit is computed again
+        from the residuals of the fit.
         """
         save_diagnosis(self, path)
 

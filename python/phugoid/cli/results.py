@@ -26,6 +26,7 @@ from ..saving.files import SUFFIXES
 from ..solvers import interrupts
 from ..summary import corrected
 from ..writing import PAGES, check_suffix, drawn, write
+from .options import as_options
 
 __all__ = [
     "INTERRUPTED",
@@ -125,7 +126,7 @@ def printed_summary(result: Any) -> str:
 def _text(error: Exception) -> str:
     if isinstance(error, OSError) and not isinstance(error, PhugoidError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
-    return str(error).replace("Use .rename({...})", "Use --rename OLD=NEW") or type(error).__name__
+    return as_options(str(error)) or type(error).__name__
 
 
 def check_saved(path: Path | None, what: str) -> None:
@@ -253,7 +254,8 @@ def _estimates(group: Estimates, coloured: Estimates | None = None) -> dict[str,
     kept = ("value", "std_error", "unit", "fixed", "bounds_active")
     found = {name: {key: getattr(e, key) for key in kept} for name, e in group.items()}
     for name, e in (coloured or {}).items():
-        found[name]["coloured_std_error"] = e.std_error
+        found[name]["corrected_std_error"] = e.std_error
+        found[name]["coloured_std_error"] = e.std_error  # its name until 0.2
     return found
 
 

@@ -190,8 +190,8 @@ class Gain:
         """Return a table for the terminal."""
         heads, rows = self._table()
         lines = [
-            f"log-likelihood  {self.log_likelihood:+.1f} (residuals taken as white)",
-            f"                {self.log_likelihood_whitened:+.1f} (residuals whitened)",
+            f"log-likelihood  {self.log_likelihood:+.1f} (white noise)",
+            f"                {self.log_likelihood_whitened:+.1f} (coloured noise)",
         ]
         if self.held_out == self.held_out:
             lines.append(f"                {self.held_out:+.1f} (held out, whitened)")
@@ -200,7 +200,7 @@ class Gain:
 
     def _repr_html_(self) -> str:
         heads, rows = self._table()
-        note = f"in log-likelihood {self.log_likelihood_whitened:+.1f}, residuals whitened"
+        note = f"in log-likelihood {self.log_likelihood_whitened:+.1f} with coloured noise"
         if self.held_out == self.held_out:
             note += f"; {self.held_out:+.1f} on data held out"
         return notebook_page("Gain", table(heads, rows, "l" + "r" * (len(heads) - 1)), note=note)

@@ -150,6 +150,12 @@ def _number(option: str, text: str, number: str) -> float:
 
 # What errors of the package call arguments and methods, and the options of the command that stand for them.
 _OPTIONS = (
+    (r" its values, or let ph.read do it:", r""),
+    (r"\bconvert=m\.units", r"--convert"),
+    (r"\bgive units=\{'([^']*)': \('([^']*)', '[^']*'\)\};", r"give --units \1=\2 --convert;"),
+    (r", or this one with units=\{'[^']*': \('[^']*', '[^']*'\)\}", r""),  # the command line has --convert alone
+    (r"\bunits=\{'[^']*': \('[^']*', '[^']*'\)\}, or convert=True without units", r"--convert, without --units"),
+    (r"\brename is \{column: name\}: \{'([^']*)': '([^']*)'\}", r"OLD is the column: --rename '\1=\2'"),
     (r"\btime='([^']*)'", r"--time \1"),
     (r"\bunits=\{'([^']*)': '([^']*)'\}", r"--units \1=\2"),
     (r"\brate=\.\.\.", r"--rate RATE"),
@@ -205,7 +211,11 @@ class Reading:
         Option("--units", help="Unit of a column, instead of that in the file.", metavar="NAME=UNIT"),
     ] = None
     convert: Annotated[
-        bool, Option("--convert", help="Convert columns to SI units: degrees to radians, knots to m/s, ...")
+        bool,
+        Option(
+            "--convert",
+            help="Convert columns to the units of the model, others to SI: degrees to radians, knots to m/s, ...",
+        ),
     ] = False
     columns: Annotated[
         str | None,
@@ -236,19 +246,21 @@ class Reading:
         twice = [f for i, f in enumerate(files) if f.resolve() in [g.resolve() for g in files[:i]]]
         if twice:
             raise OptionError(f"{twice[0]} is given twice")
-        time_unit = (of.model if isinstance(of, Fit) else of).time_unit
+        model = of.model if isinstance(of, Fit) else of
         stems = [f.stem for f in files]
         before = of.experiments[0]._read_as if isinstance(of, Fit) else {}
-        return [self._record(f, str(f) if stems.count(f.stem) > 1 else None, time_unit, before) for f in files]
+        return [self._record(f, str(f) if stems.count(f.stem) > 1 else None, model, before) for f in files]
 
-    def _record(self, file: Path, name: str | None, time_unit: str, before: Mapping[str, Any]) -> Experiment:
+    def _record(self, file: Path, name: str | None, model: Model, before: Mapping[str, Any]) -> Experiment:
         given = self._given()
         if any(not given[option] for option in before):
             with contextlib.suppress(DataError):
                 as_before = {**given, **{option: given[option] or before[option] for option in before}}
-                found: Experiment = read(file, name=name, time_unit=time_unit, **as_before)
+                as_before["convert"] = model.units if as_before["convert"] else False
+                found: Experiment = read(file, name=name, time_unit=model.time_unit, **as_before)
                 return found
-        record: Experiment = read(file, name=name, time_unit=time_unit, **given)
+        given["convert"] = model.units if self.convert else False
+        record: Experiment = read(file, name=name, time_unit=model.time_unit, **given)
         return record
 
 

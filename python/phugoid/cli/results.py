@@ -6,6 +6,7 @@ import json
 import math
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
@@ -97,7 +98,9 @@ def guard(debug: bool) -> Iterator[None]:
     ``debug`` shows the traceback too. Other errors are faults of phugoid itself, and pass.
     """
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn  # type: ignore[assignment]
+            yield
     except BrokenPipeError:  # the reader of stdout, such as `head`, has closed it; typer ends quietly
         raise
     except (PhugoidError, OSError) as error:
@@ -109,6 +112,11 @@ def guard(debug: bool) -> Iterator[None]:
     except KeyboardInterrupt:
         print("phugoid: interrupted", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
+
+
+def _warn(message: Warning | str, *_: Any) -> None:
+    """Print a warning of the package as a line on stderr, without the source code that raised it."""
+    print(f"phugoid: warning: {as_options(str(message))}", file=sys.stderr)
 
 
 def printed_summary(result: Any) -> str:

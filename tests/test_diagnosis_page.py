@@ -263,7 +263,7 @@ def test_page_without_candidates_or_held_out_data(diagnosis: Any, extension: Ext
         ([FINDING], "named", "The model misses one of {q':q|q|, q':q^2}."),
         ([SURROGATE], "unexplained", "de:scale is a surrogate, which fits but may represent another cause"),
         ([MINOR], "unexplained", "Minor: q:bias, significant, but less than 5 % of the misfit."),
-        ([UNCERTAIN], "unexplained", "q:bias is significant, but what it explains of data held out may be chance."),
+        ([UNCERTAIN], "unexplained", "q:bias is significant, but what it explains of held-out data may be chance."),
         ([FINDING, MINOR], "named", "The model misses one of {q':q|q|, q':q^2}. Minor: q:bias, significant, but"),
         ([FINDING, UNEXPLAINED], "named", "A part of the misfit has no established cause."),
     ],
@@ -301,7 +301,7 @@ def test_summary_has_evidence_rivals_and_what_is_open(diagnosis: Any) -> None:
     text = diagnosis_summary(diagnosis)
     for words in (
         "Estimated: -0.80 ± 0.05 1/rad (95 %: -0.9 to -0.7).",
-        "Gain in log-likelihood, each model with its own coloured noise: +120.0 (threshold 17.0); on data held out, "
+        "Gain in log-likelihood, each model with its own coloured noise: +120.0 (threshold 17.0); on held-out data, "
         "both with the noise of the extended model: +31.5.",
         "The data do not distinguish it from: q':q^2 (gain +96.0).",
         "A surrogate: it fits the data, but may represent another cause.",

@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 # Whoever looks for the scale of an input whose derivatives are free does not find it.
-_LEFT_OUT = " What the model's parameters can do already is left out."
+_LEFT_OUT = " Effects that the parameters of the model can represent are left out."
 
 
 class Candidates(Sequence[Candidate]):

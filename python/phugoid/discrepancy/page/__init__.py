@@ -96,7 +96,7 @@ def _minor(findings: Sequence[Finding]) -> str:
         text += f" Minor: {', '.join(little)}, significant, but less than {least} of the misfit."
     if open_:
         what = "is significant, but what it explains" if len(open_) == 1 else "are significant, but what they explain"
-        text += f" {', '.join(open_)} {what} of data held out may be chance."
+        text += f" {', '.join(open_)} {what} of held-out data may be chance."
     return text
 
 
@@ -191,7 +191,7 @@ def finding_lines(finding: Finding) -> list[str]:
     gain = f"Gain in log-likelihood, each model with its own coloured noise: {with_sign(finding.gain)}"
     gain += f" (threshold {finding.threshold:.1f})"
     if math.isfinite(finding.held_out_gain):
-        gain += f"; on data held out, both with the noise of the extended model: {with_sign(finding.held_out_gain)}"
+        gain += f"; on held-out data, both with the noise of the extended model: {with_sign(finding.held_out_gain)}"
     if math.isfinite(finding.gain):
         lines.append(f"{gain}.")
     if finding.cause and finding.held_out_gain <= 0.0:

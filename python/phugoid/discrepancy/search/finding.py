@@ -194,8 +194,8 @@ class Gain:
             f"                {self.log_likelihood_whitened:+.1f} (coloured noise)",
         ]
         if self.held_out == self.held_out:
-            lines.append(f"                {self.held_out:+.1f} (held out, whitened)")
-        lines.append(f"BIC             {self.bic:+.1f} (below zero is better)")
+            lines.append(f"                {self.held_out:+.1f} (held-out data, coloured noise)")
+        lines.append(f"BIC             {self.bic:+.1f} (negative: better)")
         return "\n".join(lines) + "\n\n" + text_table(heads, rows, "l" + "r" * (len(heads) - 1))
 
     def _repr_html_(self) -> str:

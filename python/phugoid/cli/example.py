@@ -61,7 +61,7 @@ def example(
     records = [folder / f"{name}.csv", folder / f"{name}_other.csv"]
     there = [str(p) for p in (file, *records) if p.exists()]
     if there and not force:
-        raise OptionError(f"{', '.join(there)} would be written over; give --force, or --out for another folder")
+        raise OptionError(f"{', '.join(there)} would be overwritten; give --force, or --out for another folder")
     folder.mkdir(parents=True, exist_ok=True)
     write(file, chosen.text)
     model = load_model(str(file))

@@ -47,7 +47,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Misfit:
-    """What the simulation gets wrong.
+    """The misfit of a model: the structured part of its residuals, by output.
 
     channels  by name, as the model declares them.
     fit       whose residuals they are.

@@ -116,11 +116,11 @@ class Misfit:
 
 
 def misfit(fit: FitResult) -> Misfit:
-    """Return what a fitted model gets wrong, from its residuals; with process noise (`FilterError`), from its
+    """Return the misfit of a fitted model, from its residuals; with process noise (`FilterError`), from its
     innovations.
 
-    Records with gaps, of several rates and of any number are taken; what is too short gets fewer answers, and
-    ``notes`` says so.
+    There may be any number of records, with gaps and of several rates; of short ones less is computed, and ``notes``
+    says so.
 
     Raises DataError for what is not a fit, or where there are no residuals at all.
     """

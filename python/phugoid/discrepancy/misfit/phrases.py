@@ -74,9 +74,8 @@ def _perhaps(c: Any) -> list[str]:
     most = c.telling
     if most is None or most.share < _MUCH:
         return []
-    return [
-        f"possibly depends on {most.variable} ({percent(most.share)} of its power, which slow noise could explain as well)"
-    ]
+    share = percent(most.share)
+    return [f"possibly depends on {most.variable} ({share} of its power, which slow noise could explain as well)"]
 
 
 def time_phrase(c: Any) -> str:

@@ -75,7 +75,7 @@ def _perhaps(c: Any) -> list[str]:
     if most is None or most.share < _MUCH:
         return []
     share = percent(most.share)
-    return [f"possibly depends on {most.variable} ({share} of its power, which slow noise could explain as well)"]
+    return [f"possibly changes with {most.variable} ({share} of its power, which slow noise could explain as well)"]
 
 
 def time_phrase(c: Any) -> str:

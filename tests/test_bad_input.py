@@ -77,7 +77,7 @@ def test_the_unspoilt_case_is_accepted() -> None:
         ({"t": T[::-1]}, r"time must increase strictly"),
         ({"t": spoilt(T, 3, NAN)}, r"time: sample 3 is nan"),
         ({"outputs": {"x": NAN * X}}, r"output 'x': is NaN throughout; remove the output"),
-        ({"inputs": {"u": spoilt(U, 4, NAN)}}, r"input 'u': sample 4 \(t = 0\.4\) is nan; .* fill or cut"),
+        ({"inputs": {"u": spoilt(U, 4, NAN)}}, r"input 'u': sample 4 \(t = 0\.4\) is nan; .* interpolate them, or cut"),
         ({"inputs": {"u": spoilt(U, 4, INF)}}, r"input 'u': sample 4 \(t = 0\.4\) is inf"),
         ({"outputs": {"x": spoilt(X, 5, -INF)}}, r"output 'x': sample 5 \(t = 0\.5\) is -inf; mark a missing"),
         ({"outputs": {"x": 0 * X + 3}}, r"output 'x': is 3 throughout \(zero variance\).* give its σ as known"),

@@ -568,7 +568,7 @@ def test_wrong_options_and_wrong_extensions_are_refused(
     with pytest.raises(KeyError, match="there is no candidate 'Cm:alfa"):
         library["Cm:alfa*q"]
     with pytest.raises(
-        KeyError, match="there is no candidate 'Cx:.*What the model's parameters can do already is left out"
+        KeyError, match="there is no candidate 'Cx:.*Effects that the parameters of the model can represent"
     ):
         library.without("Cx:*")
     with pytest.raises(ph.ModelError, match="'Cm:alpha\\*q' is given twice"):

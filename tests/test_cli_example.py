@@ -38,7 +38,7 @@ def test_list_and_files_that_are_there(tmp_path: Path, monkeypatch: pytest.Monke
         assert listed.exit_code == 0 and [line.split()[0] for line in lines] == list(EXAMPLES)
     assert run("example", "unstable").exit_code == 0
     again = run("example", "unstable")
-    assert again.exit_code == 2 and "would be written over; give --force" in again.stderr
+    assert again.exit_code == 2 and "would be overwritten; give --force" in again.stderr
     assert run("example", "unstable", "--force").exit_code == 0
     wrong = run("example", "hfb")
     assert wrong.exit_code == 2 and "there is no example 'hfb'. Did you mean 'hfb320'?" in wrong.stderr

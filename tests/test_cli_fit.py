@@ -175,3 +175,21 @@ def test_the_command_in_a_process_of_its_own(here: Path) -> None:
     assert json.loads(done.stdout)["status"] == "converged" and "iteration" in done.stderr
     done = subprocess.run([*command, "--fix", "d"], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "") and done.stderr.splitlines()[-1].startswith("phugoid: --fix")
+
+
+def test_warnings_are_lines_that_name_options(here: Path) -> None:
+    text = (here / "run1.csv").read_text().replace("x", "x [ft]", 1)
+    (here / "feet.csv").write_text(text)
+    done = run("fit", "model.py", "feet.csv", "--units", "x=m")
+    lines = [line for line in done.stderr.splitlines() if "the file states the unit 'ft'" in line]
+    assert len(lines) == 1 and lines[0].startswith("phugoid: warning: feet.csv, column 'x'")
+    assert "--units x=m replaces it without converting the numbers; to convert them give --convert" in lines[0]
+    assert "UserWarning" not in done.stderr
+
+
+def test_help_names_values_and_fits_the_line(here: Path) -> None:
+    for command in ("fit", "validate", "diagnose", "simulate", "petab", "example"):
+        text = run(command, "--help").stdout
+        assert "<" not in text.replace("<=", "") and "list[" not in text, command
+    listed = run("--help").stdout
+    assert "..." not in listed.partition("Commands:")[2]

@@ -1,4 +1,4 @@
-"""Channels that were recorded by another clock than the rest: what a diagnosis names."""
+"""Channels that were recorded with another clock than the rest: what a diagnosis names."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_the_clock_of_one_output_among_others_is_named() -> None:
     assert (found.cause, found.aliases) == ("x:clock", ())
     assert found.coefficient == pytest.approx(0.006, abs=4.0 * found.std_error)
     assert found.explained > 0.95
-    assert "x was recorded by another clock than the other channels" in found.explanation
+    assert "x was recorded with another clock than the other channels" in found.explanation
 
 
 @pytest.mark.parametrize("kind", [{"rate": 0.0, "late": 0.3}, {"rate": 0.0, "drift": 0.012}])

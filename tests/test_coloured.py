@@ -202,7 +202,7 @@ def test_summary_and_report_show_both_errors(tmp_path: Path) -> None:
     assert float(line[2]) == pytest.approx(fit.parameters["k"].std_error, rel=0.3)
     assert float(line[4]) == pytest.approx(fit.robust().parameters["k"].std_error, rel=0.3)
     fit.report(tmp_path / "fit.html")
-    assert "coloured" in (tmp_path / "fit.html").read_text()
+    assert "corrected" in (tmp_path / "fit.html").read_text()
     text = str(fit.robust())
     assert "ratio" in text and "correlation time, s" in text
 
@@ -216,14 +216,14 @@ def test_saved_fits_and_fits_by_shooting_have_them_too(tmp_path: Path) -> None:
     assert list(loaded.robust().inflation.values()) == pytest.approx(expected, rel=1e-3)
     assert list(shot.robust().inflation.values()) == pytest.approx(expected, rel=1e-3)
     assert loaded.summary() == fit.summary()
-    assert "coloured" not in shot.summary()  # not worth an estimation
+    assert "corrected" not in shot.summary()  # not worth an estimation
 
 
 def test_fits_that_did_not_end_have_none() -> None:
     fit = ph.estimate(model(), measured(100, (0.0, 0.0), 0), start={"k": 1.0}, solver=ph.Newton(max_iterations=1))
     with pytest.raises(ph.errors.OptionError, match="has not converged"):
         _ = fit.robust()
-    assert "coloured" not in fit.summary()
+    assert "corrected" not in fit.summary()
 
 
 def test_few_samples_and_an_output_that_is_hardly_there() -> None:
@@ -246,7 +246,7 @@ def test_process_noise_has_none() -> None:
     fit = ph.estimate(model(), run, transcription=ph.FilterError(states=("v",)))
     with pytest.raises(ph.errors.OptionError, match="innovations are white"):
         _ = fit.robust()
-    assert "coloured" not in fit.summary()
+    assert "corrected" not in fit.summary()
 
 
 def test_two_flights_agree_within_coloured_errors_only() -> None:

@@ -74,7 +74,7 @@ def test_several_experiments() -> None:
     d = ph.diagnose(ph.estimate(c.model, [c.data, c.validation]))
     assert causes(d) == [FRICTION]
     assert d.findings[0].std_error < expected().findings[0].std_error
-    figures = d.plot()
+    figures = d.figures()
     assert len(figures) == 5
     for figure in figures:
         plt.close(figure)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import pickle
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hidden import Case, make
+from matplotlib.figure import Figure
 
 import phugoid as ph
 
@@ -115,10 +117,39 @@ def test_words(diagnosis: ph.results.Diagnosis) -> None:
 
 
 def test_figures(diagnosis: ph.results.Diagnosis) -> None:
-    figures = diagnosis.plot()
+    figures = diagnosis.figures()
     assert len(figures) == 5  # what is explained, misfit, ranking, findings, gain
     labels = [t.get_text() for t in figures[2].axes[0].get_yticklabels()]
     assert diagnosis.ranking[0].name in labels
+
+
+def test_every_plot_returns_a_figure_and_axes_by_name(diagnosis: ph.results.Diagnosis) -> None:
+    names = {
+        "plot": {"explained", "outputs"},
+        "plot_explained": {"explained", "outputs"},
+        "plot_ranking": {"ranking"},
+        "plot_gain": {"gain"},
+    }
+    for method, panels in names.items():
+        figure, axes = getattr(diagnosis, method)()
+        assert isinstance(figure, Figure) and set(axes) == panels
+        assert all(axis.figure is figure for axis in axes.values())
+    channel = diagnosis.misfit.worst[0]
+    assert f"{channel} spectrum" in diagnosis.plot_misfit([channel])[1]
+    assert set(diagnosis.plot_extension([channel])[1]) == {channel, f"{channel} change"}
+    (error,) = diagnosis.fit.integration_error()[:1]
+    figure, axes = error.plot()
+    assert isinstance(figure, Figure) and set(axes) == {"error"}
+    assert error.plot(axes["error"], 1e-3)[0] is figure
+
+
+def test_a_diagnosis_without_a_cause_has_no_gain_to_plot(diagnosis: ph.results.Diagnosis) -> None:
+    nothing = replace(diagnosis, findings=(), _extension=None)
+    assert set(nothing.plot()[1]) == {"ranking"}
+    assert set(replace(nothing, ranking=()).plot()[1]) >= {f"{diagnosis.misfit.worst[0]} spectrum"}
+    for method in ("plot_gain", "plot_extension"):
+        with pytest.raises(ph.DataError, match="no extended model to compare with"):
+            getattr(nothing, method)()
 
 
 def test_page(diagnosis: ph.results.Diagnosis, tmp_path: Path) -> None:
@@ -174,4 +205,4 @@ def test_ctrl_c_leaves_what_was_found(when: str, fit: ph.Fit, diagnosis: ph.resu
     text = d.summary()
     assert "interrupted" in text and "nan" not in text
     d.report(tmp_path / "page.html")
-    assert d.ranking and d.plot()
+    assert d.ranking and d.figures()

@@ -47,7 +47,7 @@ def test_all_of_it_comes_back(name: str, diagnosis: ph.results.Diagnosis, tmp_pa
     assert one.added == other.added and str(one.model) == str(other.model)
     np.testing.assert_equal(asdict(one.gain), asdict(other.gain))
     assert one.fit.parameters.to_dict() == other.fit.parameters.to_dict()
-    assert len(again.plot()) == len(diagnosis.plot())
+    assert len(again.figures()) == len(diagnosis.figures())
     again.report(tmp_path / "page.html")
     assert "f:x^3" in (tmp_path / "page.html").read_text(encoding="utf-8")
     # And once more.
@@ -60,7 +60,7 @@ def test_nothing_found_is_saved_too(diagnosis: ph.results.Diagnosis, tmp_path: P
     assert not none.found
     none.save(tmp_path / "d.json")
     again = ph.load(tmp_path / "d.json")
-    assert not again.found and again.summary() == none.summary() and len(again.plot()) == len(none.plot())
+    assert not again.found and again.summary() == none.summary() and len(again.figures()) == len(none.figures())
 
 
 def test_a_file_tells_the_misfit_in_words_and_what_it_is(diagnosis: ph.results.Diagnosis, tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def test_refuses_scalar_channel() -> None:
 @pytest.mark.parametrize("bad", [NAN, INF, -INF])
 def test_refuses_gaps_in_inputs(bad: float) -> None:
     message = refusal(inputs={"de": spoilt(7, bad)})
-    assert has(message, "input 'de'", f"sample 7 (t = 0.7) is {bad}", "fill or cut")
+    assert has(message, "input 'de'", f"sample 7 (t = 0.7) is {bad}", "interpolate them, or cut")
 
 
 def test_refuses_infinity_in_outputs() -> None:
@@ -246,7 +246,7 @@ def test_check_for_says_where_an_output_is_needed_as_input() -> None:
 
 def test_check_for_finds_gaps_in_a_channel_used_as_input() -> None:
     e = Experiment(T, channels={"de": spoilt(7, NAN), "q": T}, name="run1")
-    with pytest.raises(DataError, match=r"input 'de': sample 7 \(t = 0.7\) is nan; .*fill or cut"):
+    with pytest.raises(DataError, match=r"input 'de': sample 7 \(t = 0.7\) is nan; .*interpolate them, or cut"):
         e.check_for(["de"], ["q"])
 
 

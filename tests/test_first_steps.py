@@ -157,7 +157,7 @@ def test_the_command_line_names_columns_of_a_file_without_header(here: Path) -> 
     table = (here / "run1.csv").read_text().partition("\n")[2]
     (here / "raw.asc").write_text(table.replace(",", "  "))
     done = run("fit", "model.py", "raw.asc")
-    assert done.exit_code == 2 and "--columns at the command line" in done.stderr
+    assert done.exit_code == 2 and "with --columns A,B" in done.stderr
     done = run("fit", "model.py", "raw.asc", "--columns", "t,u,x", "--save", "raw.json")
     assert done.exit_code == 0, done.output
     assert ph.load("raw.json").parameters["a"].value == pytest.approx(TRUTH["a"], rel=0.1)

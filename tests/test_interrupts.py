@@ -190,7 +190,7 @@ def test_a_diagnosis_tells_what_is_known(here: Path) -> None:
     d = ph.diagnose(fit)
     d.report("missing.html")
     channels = list(d.misfit.channels)
-    print(json.dumps([d.interrupted, len(d.ranking), d.found, channels, d.summary(), len(d.plot())]))
+    print(json.dumps([d.interrupted, len(d.ranking), d.found, channels, d.summary(), len(d.figures())]))
     """
     interrupted, ranked, found, channels, summary, figures = told(script)
     assert interrupted and not ranked and not found and channels == ["x"] and figures == 1

@@ -168,7 +168,7 @@ def test_a_tone_is_found_in_coloured_noise() -> None:
 def test_slow_residuals_are_called_slow() -> None:
     c = channel(coloured(1, 0.95))
     assert c.spectrum is not None and c.spectrum.most_below < 0.6
-    assert "slow, 80 % below" in c.summary()
+    assert "slow, 80 % of its power below" in c.summary()
 
 
 def test_spectrum_has_the_power_of_the_residuals() -> None:

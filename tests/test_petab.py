@@ -380,7 +380,7 @@ def test_bad_tables_are_errors_that_say_where(tmp_path: Path) -> None:
         ph.read_petab(problem(tmp_path, observables=unknown))
     with pytest.raises(ph.DataError, match="measurement of b is -0.8, which has no logarithm"):
         ph.read_petab(problem(tmp_path, measurements=MEASUREMENTS.replace("\t0.8\t", "\t-0.8\t")))
-    with pytest.raises(ph.DataError, match="cannot be read as a PEtab problem"):
+    with pytest.raises(ph.DataError, match="there is no such file"):
         ph.read_petab(tmp_path / "absent.yaml")
 
 

@@ -200,7 +200,7 @@ def test_manoeuvres_side_by_side() -> None:
     from matplotlib import pyplot as plt
 
     plt.close(figure)
-    with pytest.raises(ph.OptionError, match="no manoeuvre keeps its limits"):
+    with pytest.raises(ph.OptionError, match="no manoeuvre stays within its limits"):
         ph.design.plans(m, runs, noise=NOISE, limits={"q": 1e-3}).best()
 
 
@@ -235,7 +235,9 @@ def test_the_best_amplitude_is_at_the_limit_and_the_best_width_within() -> None:
         reached = np.abs(one.records[0].outputs["q"]).max()
         bests.append(one.criteria["D"] / min(0.2 / reached, 5.0))
     assert min(bests) * 0.97 < best.criteria["D"] < min(bests) * 1.03
-    with pytest.raises(ph.OptionError, match="nothing that was tried keeps its limits. The nearest: q of 'doublet'"):
+    with pytest.raises(
+        ph.OptionError, match="no manoeuvre that was tried stays within its limits. The nearest: q of 'doublet'"
+    ):
         ph.design.optimal_plan(m, make, {"width": (0.3, 0.5), "amplitude": (0.4, 0.5)}, generations=1, **options)
 
 

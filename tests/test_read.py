@@ -251,7 +251,7 @@ def test_rename_the_wrong_way_round_is_recognised(table: Any) -> None:
 
 def test_gap_in_a_declared_input_is_refused(table: Any) -> None:
     message = refusal(table("t,de,q\n0,1,2\n1,,3\n"), inputs=["de"])
-    assert has(message, "experiment 'run1', input 'de'", "sample 1 (t = 1)", "fill or cut")
+    assert has(message, "experiment 'run1', input 'de'", "sample 1 (t = 1)", "interpolate them, or cut")
 
 
 def test_absent_file_names_its_neighbour(table: Any) -> None:

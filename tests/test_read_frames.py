@@ -20,8 +20,7 @@ def test_columns_with_units(package: str) -> None:
     e = read(frame, inputs=[], outputs=["alpha"], convert=True, name="run1", window=(0.5, 1.5))
     assert (e.name, dict(e.units)) == ("run1", {"alpha": "rad"})
     np.testing.assert_allclose(e.outputs["alpha"], [np.pi / 2, np.pi, 0.0])
-    with pytest.raises(DataError, match=r"column 'mode': .*leave it out by naming inputs"):
-        read(frame)
+    assert "mode" not in read(frame).channels
     with pytest.raises(DataError, match=r"no column 'alfa'.*Did you mean 'alpha'"):
         read(frame, outputs=["alfa"])
 
@@ -102,3 +101,16 @@ def test_each_dimension_of_xarray_is_a_clock() -> None:
 def test_something_else() -> None:
     with pytest.raises(DataError, match=r"give the path of a file, or a table of pandas, polars or xarray, not \[1, 2"):
         read([1, 2])
+
+
+@pytest.mark.parametrize("package", ["pandas", "polars"])
+def test_columns_of_words_are_left_out(package: str) -> None:
+    frames: Any = pytest.importorskip(package)
+    table = frames.DataFrame({"t": [0.0, 1.0, 2.0], "q [deg/s]": [1.0, 2.0, 3.0], "remark": ["ok", "ok", None]})
+    run = read(table)
+    assert list(run.channels) == ["q"]
+    with pytest.raises(DataError, match=r"'remark' \(inputs=...\) holds text \('ok'\)"):
+        read(table, inputs=["remark"], outputs=["q"])
+    mixed = frames.DataFrame({"t": [0.0, 1.0], "q": ["1.5", "stuck"]})
+    with pytest.raises(DataError, match="column 'q'"):
+        read(mixed)

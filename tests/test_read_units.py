@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import phugoid as ph
 from phugoid.data.read import read
 from phugoid.data.units import convert, si
 from phugoid.errors import DataError
@@ -113,3 +114,39 @@ def test_a_unit_in_the_name_of_the_time_column_counts(tmp_path: Path, name: str,
     assert read(file, time=name).t == pytest.approx(0.05 * np.arange(5))
     # A unit that is given goes before.
     assert read(file, time=name, units={name: "s"}).t[1] == pytest.approx(0.05 * factor)
+
+
+def test_a_rate_per_minute_is_not_taken_for_an_angular_rate(tmp_path: Path) -> None:
+    file = tmp_path / "motor.csv"
+    file.write_text("t [min],n [1/min],T [degC]\n0,60,20\n1,120,21\n2,60,22\n")
+    run = read(file, convert=True)
+    assert run.units["n"] == "Hz" and run.channels["n"][0] == pytest.approx(1.0)
+    m = ph.Model("motor")
+    (n,) = m.states(n="rad/s")
+    (k,) = m.parameters("k")
+    m.dynamics(n=-k * n)
+    m.outputs(n=n)
+    with pytest.raises(DataError, match=r"if it counts revolutions, give units=\{'n': \('rpm', 'rad/s'\)\}"):
+        ph.estimate(m, run)
+    assert read(file, units={"n": ("rpm", "rad/s")}).channels["n"][0] == pytest.approx(2.0 * math.pi)
+
+
+def test_columns_are_converted_to_the_units_of_a_model(tmp_path: Path) -> None:
+    file = tmp_path / "house.csv"
+    file.write_text("t [min],power [W],T [degC],n [1/min],x [ft]\n0,500,20,3,1\n1,700,21,3,1\n")
+    m = ph.Model("house", time_unit="min")
+    (T,) = m.states(T="K")
+    power, n = m.inputs(power="kW", n="1/min")
+    (k,) = m.parameters("k")
+    m.dynamics(T=k * power * n)
+    m.outputs(T=T)
+    run = read(file, convert=m.units, time_unit="min")
+    assert {name: run.units[name] for name in ("power", "T", "n", "x")} == {
+        "power": "kW", "T": "K", "n": "1/min", "x": "m",
+    }  # fmt: skip
+    np.testing.assert_allclose([run.channels[name][0] for name in ("power", "T", "n", "x")], [0.5, 293.15, 3.0, 0.3048])
+    with pytest.raises(DataError, match=r"convert=m.units, or this one with units=\{'power': \('W', 'kW'\)\}"):
+        ph.estimate(m, read(file, time_unit="min"))
+    # The advice names the unit of the file, also where the column was converted to another one.
+    with pytest.raises(DataError, match=r"this one with units=\{'n': \('1/min', '1/min'\)\}"):
+        ph.estimate(m, read(file, time_unit="min", convert=True).with_channels({"power": [0.5, 0.7]}, {"power": "kW"}))

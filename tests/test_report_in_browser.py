@@ -43,6 +43,7 @@ const pictures = [...page.images].filter(i => i.getBoundingClientRect().width);
 const result = {
   scroll: root.scrollWidth, width: root.clientWidth, out: out,
   broken: [...page.images].filter(i => !i.naturalWidth).length, pictures: page.images.length,
+  wide: pictures.filter(i => i.getBoundingClientRect().width > box.width).length,
   coarsest: Math.min(...pictures.map(i => 200 * i.getBoundingClientRect().width / i.naturalWidth)),
   formulas: [...page.querySelectorAll('math')].filter(m => m.getBoundingClientRect().height > 8).length,
   zoomed: page.querySelector('.bar button')?.disabled === false,
@@ -122,6 +123,8 @@ def test_page_fits_the_screen(kind: str, width: int, pages: dict[str, Path], tmp
         spoken = found["spoken"]
         assert isinstance(spoken, list) and all(re.search(r"(measured|input) -?\d", text) for text in spoken[:4])
         assert int(str(found["formulas"])) >= 5
+    if kind == "diagnosis":  # its figures have a version for phones
+        assert found["wide"] == 0
     # Pixels of the screen an inch of the figure: letters of 8 points need 75. On a phone figures scroll by themselves.
     assert float(str(found["coarsest"])) > 75.0
 

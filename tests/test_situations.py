@@ -175,7 +175,7 @@ def test_findings_of_disturbances_are_saved_and_shown(tmp_path: object) -> None:
     (event,) = d.findings
     assert (found.cause, found.aliases, found.status) == (event.cause, event.aliases, event.status)
     assert found.curve == event.curve and found.explanation == event.explanation
-    shown = [axes.get_ylabel() for figure in d.plot() for axes in figure.axes]
+    shown = [axes.get_ylabel() for figure in d.figures() for axes in figure.axes]
     assert any(label.startswith("added to") for label in shown)
     d.report(f"{tmp_path}/d.html")
     with open(f"{tmp_path}/d.html") as page:

@@ -102,7 +102,7 @@ def test_a_diagnosis_is_in_the_unit_of_the_model() -> None:
     assert found.extend().model.time_unit == "h"
     for text in (finding.explanation, finding.advice, *found.notes):
         assert not SECONDS.search(text), text
-    labels = {a.get_xlabel() for figure in found.plot() for a in figure.axes}
+    labels = {a.get_xlabel() for figure in found.figures() for a in figure.axes}
     assert "time, h" in labels and not any(SECONDS.search(label) for label in labels)
 
 

@@ -165,7 +165,7 @@ def test_what_stays_open_is_named() -> None:
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
-        ({"at": {"V": 106.0}}, OptionError, r"5 unknowns \(alpha, theta, q, de, T\) and 4 equations .* hold 1 more"),
+        ({"at": {"V": 106.0}}, OptionError, r"5 unknowns \(alpha, theta, q, de, T\) and 4 equations .* give 1 more"),
         ({"at": {"V": 106.0, "T": 11500.0, "de": 0.0}}, OptionError, r"no trim was found: .* comes no nearer than"),
         ({"at": {"V": 106.0, "T": 1e9}}, OptionError, "no trim was found"),
         ({"at": LEVEL, "bounds": {"de": (0.0, 1.0)}}, OptionError, "no trim was found"),
@@ -177,7 +177,11 @@ def test_what_stays_open_is_named() -> None:
         ({"rates": {"de": 0.0}}, ModelError, "rates: 'de' is not there"),
         ({"outputs": {"aZ": 0.0}}, ModelError, "outputs: 'aZ' is not there. Did you mean 'az'"),
         ({"start": {"bla": 0.0}}, ModelError, "start: 'bla' is not there"),
-        ({"at": dict.fromkeys(("V", "alpha", "theta", "q", "de", "T"), 1.0)}, OptionError, "everything is held"),
+        (
+            {"at": dict.fromkeys(("V", "alpha", "theta", "q", "de", "T"), 1.0)},
+            OptionError,
+            "all states and inputs are given",
+        ),
     ],
 )
 def test_bad_input(model: ph.Model, options: dict[str, object], error: type[Exception], words: str) -> None:

@@ -57,7 +57,7 @@ def test_conversion_as_the_message_says_it_is_accepted(tmp_path: Path) -> None:
     rows = np.column_stack([T, np.rad2deg(U), run().output("q")])
     file = tmp_path / "run1.csv"
     np.savetxt(file, rows, "%.9g", ",", header="t [s],de [deg],q [rad/s]", comments="")
-    with pytest.raises(ph.DataError, match="convert=True"):
+    with pytest.raises(ph.DataError, match="convert=m.units"):
         ph.estimate(lag(), ph.read(file))
     for data in (ph.read(file, units={"de": ("deg", "rad")}), ph.read(file, convert=True)):
         assert abs(ph.estimate(lag(), data).parameters["a"].value - 1.5) < 0.1

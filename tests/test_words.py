@@ -46,3 +46,9 @@ def test_a_property_may_be_a_noun_phrase(tmp_path: Path) -> None:
         'class A:\n    @property\n    def f(self):\n        """The ratio, which holds zeros and ones."""\n'
     )
     assert checked(tmp_path) == (0, "")
+
+
+def test_a_phrase_on_a_page_is_found(tmp_path: Path) -> None:
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "page.md").write_text("A vane\nahead reads\nlike one that is delayed.\n")
+    assert checked(tmp_path) == (1, "docs/page.md:2: 'reads like': see the words in CONTRIBUTING.md\n")

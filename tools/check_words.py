@@ -1,5 +1,5 @@
-"""Check the words of the Python package: docstrings of functions begin with a verb, and phrases that CONTRIBUTING.md
-replaces do not come back.
+"""Check the words of the Python package and of the documentation: docstrings of functions begin with a verb, and
+phrases that CONTRIBUTING.md replaces do not come back.
 
     python tools/check_words.py [root of the repository]
 
@@ -23,7 +23,8 @@ NO_VERBS = {
 PHRASES = re.compile(
     r"pass(es)?\s+for\s+white|(found|estimated)\s+anew|holds?\s+zero\b|told\s+of|not\s+told|tells?\s+nothing|"
     r"as\s+coloured\s+as\s+(they\s+are|the\s+residuals)|what\s+to\s+beware\s+of|all\s+else\s+was\s+sought|did\s+not\s+prove\s+itself|"
-    r"in\s+place\s+of\s+something\s+else|as\s+much\s+as\s+its\s+noise",
+    r"in\s+place\s+of\s+something\s+else|as\s+much\s+as\s+its\s+noise|reads\s+(much\s+)?like|hardly\s+held|cause\s+and\s+its\s+rivals|"
+    r"all\s+else\s+is\s+sought|to\s+be\s+believed",
     re.IGNORECASE,
 )
 TEXTS = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", tokenize.STRING)}
@@ -51,6 +52,21 @@ def faults(path: Path) -> Iterator[str]:
                 yield f"{line}: '{' '.join(found[0].split())}': see the words in CONTRIBUTING.md"
 
 
+def pages(root: Path) -> Iterator[Path]:
+    """Yield the pages of the documentation, and the templates of reports."""
+    yield from (page for page in [root / "README.md"] if page.is_file())
+    yield from sorted((root / "docs").rglob("*.md"))
+    yield from sorted((root / "python" / "phugoid" / "templates").glob("*.html"))
+
+
+def faults_of_page(path: Path) -> Iterator[str]:
+    """Yield the phrases in a page that are to be replaced, with their lines."""
+    text = path.read_text(encoding="utf-8")
+    for found in PHRASES.finditer(text):
+        line = text.count("\n", 0, found.start()) + 1
+        yield f"{line}: '{' '.join(found[0].split())}': see the words in CONTRIBUTING.md"
+
+
 def main() -> int:
     """Print all faults; return 1 where there are any."""
     root = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[1]
@@ -60,6 +76,7 @@ def main() -> int:
         for path in sorted(package.rglob("*.py"))
         for fault in faults(path)
     ]
+    found += [f"{page.relative_to(root).as_posix()}:{fault}" for page in pages(root) for fault in faults_of_page(page)]
     print("\n".join(found), end="\n" if found else "")
     return 1 if found else 0
 

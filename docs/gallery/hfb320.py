@@ -23,8 +23,8 @@ record = ph.read(folder / "hfb320.csv")
 other = ph.read(folder / "hfb320_other.csv")
 
 # %%
-# The model names its aerodynamic coefficients, so that candidates for what it misses can be sought
-# in them:
+# The model names its aerodynamic coefficients, so that a diagnosis can name missing terms
+# of them:
 
 model
 

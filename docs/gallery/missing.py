@@ -46,7 +46,7 @@ figure, axes = ph.misfit(fit).plot()
 
 diagnosis = ph.diagnose(fit, validation=second)
 print(diagnosis.summary())
-figures = diagnosis.plot()
+figures = diagnosis.figures()
 
 # %%
 

@@ -50,7 +50,7 @@ def diagnose(*names: str) -> None:
         for line in [*said(d), f"known: {case.known}"]:
             print(f"    {line}")
     if names[0] in diagnoses:
-        diagnoses[names[0]].plot()
+        diagnoses[names[0]].figures()
 
 
 # %%
@@ -60,7 +60,8 @@ def diagnose(*names: str) -> None:
 # ATTAS, two elevator manoeuvres, one fitted and one held out (R. V. Jategaonkar, *Flight Vehicle System
 # Identification*, 2nd edition, 2015). The model here has the vane of the angle of attack at the centre of gravity. It
 # is on a boom 13.08 m ahead of it, and measures :math:`\alpha - 13.08\,q/V`, which at this airspeed is :math:`\alpha`
-# less 0.102 s times :math:`q`. A delay of the vane by 0.102 s acts almost alike: it is the wrong answer here.
+# less 0.102 s times :math:`q`. A delay of the vane by 0.102 s has almost the same effect, and is the wrong
+# answer here.
 
 diagnose("attas")
 
@@ -70,7 +71,7 @@ diagnose("attas")
 #
 # HFB-320, of the same source: the first 20 s are fitted and the rest is held out, with the eleven constant
 # derivatives of the textbook. What that model lacks is not known. Later models of such aircraft have unsteady lift,
-# and a downwash that arrives late at the tail. The record is open: a name here would be a proposal.
+# and a downwash that reaches the tail with a delay. The record is open: a name here would be a proposal.
 
 diagnose("hfb320")
 

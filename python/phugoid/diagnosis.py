@@ -6,6 +6,7 @@ Their fits are of the class that the caller has: `Fit`, which stands above this 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Generic, TypeVar
@@ -13,14 +14,23 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from .discrepancy.improve import ImprovementResult
 from .discrepancy.page import diagnosis_summary, headline
 from .discrepancy.page import report as diagnosis_report
-from .discrepancy.page.figures import diagnosis_figures
+from .discrepancy.page.figures import (
+    diagnosis_figure,
+    diagnosis_figures,
+    explained_figure,
+    findings_figure,
+    gain_figure,
+    ranking_figure,
+)
 from .discrepancy.saved import save_diagnosis
 from .discrepancy.search.finding import DiagnosisResult, ExtensionResult
+from .errors import DataError
 from .fit_result import FitResult
 from .notebook import Html, bullets, notebook_page, paragraph, table
 from .summary import fit_html
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["Diagnosis", "Extension", "Improvement"]
@@ -82,22 +92,70 @@ class Diagnosis(DiagnosisResult, Generic[_F]):
         """Return the findings in plain words."""
         return diagnosis_summary(self)
 
-    def plot(self) -> list[Figure]:
-        """Plot the misfit and the ranking of candidates; before them the parts explained by findings, and after them
-        the changes and gains of the extension, where there are any. Return the figures."""
+    def plot(self) -> tuple[Figure, dict[str, Axes]]:
+        """Plot the result in one figure: what each finding explains of the misfit (`plot_explained`); where no finding
+        has such a part, the ranking of the candidates (`plot_ranking`), and without candidates the misfit
+        (`plot_misfit`). Return the figure and its axes by name; `figures` draws all figures."""
+        return diagnosis_figure(self)
+
+    def plot_explained(self) -> tuple[Figure, dict[str, Axes]]:
+        """Plot which part of the misfit each finding explains in free simulation of held-out data, with 95 % intervals,
+        and by how much the mean square of each output falls.
+
+        Returns the figure and the axes by ``"explained"`` and ``"outputs"``. Raises DataError where no finding has such
+        a part.
+        """
+        return explained_figure(self.findings)
+
+    def plot_misfit(self, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
+        """Plot the residuals of the fit that was diagnosed, as `Misfit.plot` does."""
+        return self.misfit.plot(channels)
+
+    def plot_ranking(self) -> tuple[Figure, dict[str, Axes]]:
+        """Plot by how much each of the best candidates would raise twice the log-likelihood, to first order.
+
+        Returns the figure and the axes by ``"ranking"``. Raises DataError where no candidates were ranked.
+        """
+        return ranking_figure(self.ranking, self.threshold)
+
+    def plot_extension(self, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
+        """Plot the residuals before and after the extension, and by how much it changes the outputs of the model.
+
+        channels  names; None: the three whose RMS falls most.
+
+        Returns the figure and the axes by ``"<channel>"`` and ``"<channel> change"``. Raises UnknownName for a channel
+        that is not there, DataError where the diagnosis named nothing to add.
+        """
+        return findings_figure(self.fit, self._with_additions("plot_extension"), channels)
+
+    def plot_gain(self) -> tuple[Figure, dict[str, Axes]]:
+        """Plot the RMS of the residuals with the extension, in per cent of that without it, for each channel.
+
+        Returns the figure and the axes by ``"gain"``. Raises DataError where the diagnosis named nothing to add.
+        """
+        return gain_figure(self._with_additions("plot_gain").gain, self.fit.model.units)
+
+    def _with_additions(self, function: str) -> Extension[_F]:
+        if not self.found:
+            raise DataError(f"{function}: the diagnosis named no cause, so there is no extended model to compare with")
+        return self.extend()
+
+    def figures(self) -> list[Figure]:
+        """Draw all figures of the diagnosis and return them: what findings explain, the misfit, curves of disturbances
+        and unknown functions, the ranking of candidates, and what the extension changes, as far as there are such."""
         return diagnosis_figures(self)
 
     def report(self, path: str | os.PathLike[str]) -> None:
-        """Write one HTML page that a colleague understands: what was wrong, the evidence, the cause and its rivals, the
-        new equation, the gain."""
+        """Write one HTML page that a colleague understands: the misfit, the cause and other candidates for it, the
+        evidence, the new equations, the gain."""
         diagnosis_report(self, path)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the diagnosis, for `load`: fit, findings, ranking, misfit in words, extended model with fit and gain.
 
         HDF5 where the suffix is ``.h5`` or ``.hdf5``, else JSON; raises as `Fit.save` does.
-        `load` returns all of this, with ``summary``, ``plot`` and ``report``; the misfit is computed again from the
-        fit's residuals.
+        `load` returns all of this, with ``summary``, ``plot``, ``figures`` and ``report``; the misfit is computed again
+        from the residuals of the fit.
         """
         save_diagnosis(self, path)
 

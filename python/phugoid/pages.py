@@ -10,7 +10,7 @@ import math
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,10 +75,16 @@ class Picture:
     width: int
     height: int
     small: bool
+    narrow: Picture | None = None  # the same for a narrow screen
 
 
-def picture(figure: Figure) -> Picture:
-    """Return a figure as data within the page, and close it."""
+def picture(figure: Figure, narrow: Figure | None = None) -> Picture:
+    """Return a figure as data within the page, with one for narrow screens where there is one, and close them."""
+    made = _picture(figure)
+    return made if narrow is None else replace(made, narrow=_picture(narrow))
+
+
+def _picture(figure: Figure) -> Picture:
     from matplotlib import pyplot as plt
     from PIL import Image
 

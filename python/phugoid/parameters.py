@@ -287,7 +287,7 @@ def estimates_html(estimates: Iterable[Estimate], coloured: Mapping[str, Estimat
     return table(["parameter", *_HEADS], _estimates_rows(estimates, coloured), _ALIGN)
 
 
-_HEADS, _ALIGN = ("estimate", "std error", "in %", "coloured", "unit", "remark"), "lrrrrll"
+_HEADS, _ALIGN = ("estimate", "std error", "in %", "corrected", "unit", "remark"), "lrrrrll"
 
 
 def _estimates_rows(estimates: Iterable[Estimate], coloured: Mapping[str, Estimate] | None) -> list[list[str]]:

@@ -105,7 +105,7 @@ class VanePositions:
             return text
         given = ", ".join(f"{c}_vane=(x, y, z)" for c in self.channels)
         return (
-            f"{text} A vane ahead of the centre of gravity by x reads like one that is delayed by x/V: give the "
+            f"{text} A vane ahead of the centre of gravity by x looks like one that is delayed by x/V: give the "
             f"positions as measured on the aircraft, {given}, before any delay."
         )
 
@@ -253,7 +253,7 @@ class Reconstruction:
             error = coloured[n].std_error if n in coloured else np.nan
             text, _, shown = plus_minus(e.value, error if np.isfinite(error) else e.std_error).partition(" ± ")
             rows.append([n, text, f"{e.std_error:.2g}", shown if np.isfinite(error) else "", e.unit, e.remark])
-        return ["sensor error", "estimate", "std error, white noise", "coloured", "unit", "remark"], rows, "lrrrll"
+        return ["sensor error", "estimate", "std error", "corrected", "unit", "remark"], rows, "lrrrll"
 
     def _match_rows(self) -> Rows:
         units, match = self.fit.model.units, []
@@ -298,10 +298,10 @@ def reconstruct(
     noise    as for `estimate`.
     time_limit  in seconds, of the whole; the best point so far is the result, as for `estimate`.
 
-    A vane ahead of the centre of gravity reads much like a delayed one, and its position is what is known. So where the
+    A vane ahead of the centre of gravity looks like a delayed one, and its position is usually known. So where the
     model is made here, and positions of vanes for alpha or beta among the outputs are not given (``alpha_vane``,
     ``beta_vane``), these are estimated as well, in a second fit without their delays: ``places`` of the result holds
-    this fit and which of the two the data prefer. The corrected records are those of the fit that was asked for.
+    this fit and which of the two fits better. The corrected records are those of the fit that was asked for.
 
     psi is unwrapped where it jumps by a whole turn. With the accelerometers off the centre of gravity, angular
     accelerations that are not in the record are those of smoothing splines through p, q and r.

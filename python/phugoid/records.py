@@ -218,8 +218,8 @@ def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[
     for members in (g for g in groups if len(g) > 1):
         found.append(
             f"outputs {joined(members)} hold the same measurement: their residuals are nearly proportional. "
-            f"Each counts as if its noise were its own, and so standard errors are too small, by √{len(members)} where "
-            f"nothing else is measured: leave {'one' if len(members) == 2 else 'all but one'} out of the outputs"
+            f"Each counts as if its noise were independent, so that standard errors are too small, by √{len(members)} "
+            f"where nothing else is measured: leave {'one' if len(members) == 2 else 'all but one'} out of the outputs"
         )
     return found
 

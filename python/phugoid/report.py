@@ -210,7 +210,7 @@ def _estimates(head: str, estimates: list[Estimate], coloured: Estimates | None)
     for e in estimates:
         error = coloured[e.name].std_error if coloured else math.nan
         rows.append([e.name, *_cells(e)[:3], f"{error:.2g}" if math.isfinite(error) else "", *_cells(e)[3:]])
-    return PageTable([head, "estimate ± std error", "unit", "in %", "coloured", ""], rows, "lrlrrl")
+    return PageTable([head, "estimate ± std error", "unit", "in %", "corrected", ""], rows, "lrlrrl")
 
 
 def _cells(e: Estimate) -> list[str]:

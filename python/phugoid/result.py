@@ -87,7 +87,7 @@ class Fit(FitResult):
         return coloured(self)
 
     def misfit(self) -> Misfit:
-        """Return what the model gets wrong, by output: when, in which regime, at which frequencies; see
+        """Return the misfit of the model, by output: when, in which regime, at which frequencies it is large; see
         `phugoid.misfit`."""
         from .discrepancy.misfit.misfit import misfit
 

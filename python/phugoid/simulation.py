@@ -15,7 +15,7 @@ import phugoid._core as _core
 from .data.experiment import Experiment
 from .data.units import check_units
 from .errors import DataError, ModelError, OptionError, did_you_mean, finite
-from .figures import LIMIT, SERIES, plain
+from .figures import LIMIT, SERIES, WIDTH, Panels, figure_of, plain, styled
 from .fit_result import FitResult, dataset
 from .initialisation import measured_states
 from .modelling.model import Model
@@ -26,6 +26,7 @@ from .transcription import Collocation, records_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = [
     "IntegrationError",
@@ -200,8 +201,17 @@ class IntegrationError:
         """(S,): the largest relative error of any state in each segment."""
         return np.asarray(np.max(list(self.relative.values()), axis=0))
 
-    def plot(self, axes: Axes, tolerance: float | None = None) -> None:
-        """Relative errors over time, on a logarithmic scale, into axes of your own."""
+    def plot(self, axes: Axes | None = None, tolerance: float | None = None) -> tuple[Figure, dict[str, Axes]]:
+        """Plot the relative error of each segment over time, on a logarithmic scale, for each state.
+
+        axes       to draw in; None: those of a new figure.
+        tolerance  drawn as a line, where given.
+
+        Returns the figure and the axes by ``"error"``.
+        """
+        if axes is None:
+            with styled() as plt:
+                _, axes = plt.subplots(figsize=(WIDTH, 2.4), layout="constrained")
         for i, (name, e) in enumerate(self.relative.items()):
             colour = SERIES[i % len(SERIES)][0]
             axes.stairs(
@@ -215,6 +225,7 @@ class IntegrationError:
         axes.set_xlabel(plain(self.time_unit.axis()))
         axes.set_ylabel("error of a segment / noise")
         axes.legend(fontsize="small", frameon=False, ncols=3)
+        return figure_of(axes), Panels({"error": axes})
 
     def __repr__(self) -> str:
         size = f"{self.edges.size - 1} segments, at most {self.worst.max():.1e} of the noise in one"

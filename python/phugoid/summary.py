@@ -29,7 +29,7 @@ def fit_summary(fit: FitResult) -> str:
     if noise:
         parts.append(estimates_table(noise, title="noise", coloured=errors))
     if errors:
-        parts.append("std error: Cramér-Rao, for white residuals; coloured: corrected for residual autocorrelation")
+        parts.append("std error: Cramér-Rao, for white residuals; corrected: for residual autocorrelation")
     parts += correlation(fit).notes
     if any(record.residuals for record in fit.records):
         parts.append(text_table(*_match_rows(fit, outputs), _MATCH))

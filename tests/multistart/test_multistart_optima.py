@@ -81,7 +81,7 @@ def test_summary_tells_the_optima_and_the_failures(rugged: Multistart) -> None:
 
 
 def test_a_single_start_at_the_best_is_no_evidence() -> None:
-    assert "One start says nothing of other optima." in run(1).summary()
+    assert "One start does not show whether there are other optima." in run(1).summary()
 
 
 def test_ends_where_parameters_cannot_be_determined_are_told_as_optima() -> None:

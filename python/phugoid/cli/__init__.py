@@ -20,24 +20,12 @@ __all__ = [
 # Command -> its module, and the line on it in the list. Modules are imported for the command that is run, since all of
 # them take half a second.
 COMMANDS = {
-    "fit": ("commands", "Estimate the parameters of a model from one data file or several."),
-    "diagnose": (
-        "commands",
-        "Name the cause of a model's misfit, among some 250 candidates, and the gain of the extended model.",
-    ),
-    "simulate": (
-        "commands",
-        "Simulate a model over the inputs of a data file: a CSV of time, inputs, outputs and states.",
-    ),
-    "validate": (
-        "commands",
-        "Validate a fitted model on other records: only initial states and sensor biases are re-estimated.",
-    ),
-    "petab": ("petab", "Estimate a problem in the PEtab format from many starts, beside its nominal point."),
-    "example": (
-        "example",
-        "Write an example, a model file and two simulated records, and say which commands to run on it.",
-    ),
+    "fit": ("commands", "Estimate the parameters of a model from one or more data files."),
+    "diagnose": ("commands", "Find physical effects that a fitted model misses."),
+    "simulate": ("commands", "Simulate a model with the inputs of a data file."),
+    "validate": ("commands", "Validate a fitted model on other records."),
+    "petab": ("petab", "Estimate a problem in the PEtab format from many starts."),
+    "example": ("example", "Write an example: a model file and two simulated records."),
 }
 
 
@@ -55,7 +43,11 @@ def _imported(name: str) -> Any:
 
     one = typer.Typer(add_completion=False, rich_markup_mode=None)
     one.command(name)(command(getattr(import_module(f".{COMMANDS[name][0]}", __package__), name)))
-    return typer.main.get_command(one)
+    made: Any = typer.main.get_command(one)
+    for parameter in made.params:  # typer would write "<list[Path]>" beside the name of an argument
+        if parameter.param_type_name == "argument":
+            parameter.display_type = lambda ctx: None
+    return made
 
 
 def _listed() -> None:

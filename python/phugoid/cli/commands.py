@@ -63,13 +63,13 @@ def fit(
     how: Estimation,
     reading: Reading,
     save: Annotated[
-        Path | None, typer.Option("--save", help="Save the fit, to be read by phugoid.load (.json, .h5).")
+        Path | None, typer.Option("--save", help="Save the fit (.json, .h5); phugoid.load reads it.", metavar="FILE")
     ] = None,
     plot: PlotOption = None,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> int:
-    """Estimate the parameters of a model from one data file or several."""
+    """Estimate the parameters of a model from one or more data files."""
     check_saved(save, "fit")
     check_targets([plot], [save], report)
     source = load_source(model)
@@ -124,8 +124,8 @@ def validate(
         list[str] | None,
         typer.Option(
             "--tolerance",
-            help="Greatest deviation of an output in its unit, as a part of what is measured (5%), or the greater of "
-            "both (1.5/5%).",
+            help="Largest deviation that an output may have: in its unit (1.5), in per cent of the measured "
+            "value (5%), or the greater of both (1.5/5%).",
             metavar="OUTPUT=VALUE",
         ),
     ] = None,
@@ -144,7 +144,10 @@ def validate(
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> int:
-    """Validate a fitted model on other records: only initial states and sensor biases are re-estimated."""
+    """Validate a fitted model on other records.
+
+    Only initial states and sensor biases are re-estimated; all other parameters stay as fitted.
+    """
     check_targets([plot], report=report)
     limits = tolerances(tolerance)
     source = load_source(model)
@@ -192,22 +195,32 @@ def _validation_facts(fit: Fit, result: Validation) -> dict[str, Any]:
 def diagnose(
     model: ModelArgument,
     data: Annotated[
-        list[Path] | None, typer.Argument(help="Data files; none where MODEL is a saved fit.", metavar="DATA...")
+        list[Path] | None, typer.Argument(help="Data files; none where MODEL is a saved fit.", metavar="DATA")
     ] = None,
-    fit: Annotated[Path | None, typer.Option("--fit", help="Saved fit from which the estimation starts.")] = None,
+    fit: Annotated[
+        Path | None, typer.Option("--fit", help="Saved fit from which the estimation starts.", metavar="FILE")
+    ] = None,
     validation: Annotated[
-        list[Path] | None, typer.Option("--validation", help="Record held out, on which the gain is computed.")
+        list[Path] | None,
+        typer.Option(
+            "--validation",
+            help="Data file held out of the estimation, on which the gain is computed (several times).",
+            metavar="FILE",
+        ),
     ] = None,
     *,
     how: Estimation,
     reading: Reading,
     save: Annotated[
-        Path | None, typer.Option("--save", help="Save the diagnosis, to be read by phugoid.load (.json, .h5).")
+        Path | None,
+        typer.Option("--save", help="Save the diagnosis (.json, .h5); phugoid.load reads it.", metavar="FILE"),
     ] = None,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> int:
-    """Name the cause of a model's misfit, among some 250 candidates, and the gain of the extended model.
+    """Find physical effects that a fitted model misses.
+
+    Some 250 candidates are compared, the model is extended by those that are named, and the gain is reported.
 
     Exit code 1: the fit has not converged, or the residuals have structure and no cause is named.
     """
@@ -293,14 +306,21 @@ def simulate(
     ] = None,
     initial: Annotated[
         list[str] | None,
-        typer.Option("--initial", help="Initial state, NAME=VALUE; default: as in the fit, as measured, or 0."),
+        typer.Option(
+            "--initial", help="Initial state; default: as in the fit, as measured, or 0.", metavar="NAME=VALUE"
+        ),
     ] = None,
     *,
     reading: Reading,
-    out: Annotated[Path | None, typer.Option("--out", help="Write the CSV to this file instead of stdout.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Write the CSV to this file instead of stdout.", metavar="FILE")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Simulate a model over the inputs of a data file: a CSV of time, inputs, outputs and states."""
+    """Simulate a model with the inputs of a data file.
+
+    The result is a CSV of time, inputs, outputs and states.
+    """
     check_targets((), [out])
     source = load_source(model)
     described = source.model if isinstance(source, Fit) else source

@@ -37,12 +37,17 @@ def example(
     name: Annotated[
         str | None, typer.Argument(help="Example to write; without it they are listed.", metavar="NAME")
     ] = None,
-    folder: Annotated[Path, typer.Option("--out", help="Folder to write into; created if necessary.")] = Path(),
+    folder: Annotated[
+        Path, typer.Option("--out", help="Folder to write into; created if necessary.", metavar="FOLDER")
+    ] = Path(),
     every: Annotated[bool, typer.Option("--list", help="List the examples.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     json: JsonOption = False,
 ) -> None:
-    """Write an example, a model file and two simulated records, and say which commands to run on it."""
+    """Write an example: a model file and two simulated records.
+
+    It is followed by a list of the commands to run on it.
+    """
     if every or name is None:
         if json:
             emit_json("example", {"examples": {e.name: e.about for e in EXAMPLES.values()}})
@@ -56,7 +61,7 @@ def example(
     records = [folder / f"{name}.csv", folder / f"{name}_other.csv"]
     there = [str(p) for p in (file, *records) if p.exists()]
     if there and not force:
-        raise OptionError(f"{', '.join(there)} would be written over; give --force, or --out for another folder")
+        raise OptionError(f"{', '.join(there)} would be overwritten; give --force, or --out for another folder")
     folder.mkdir(parents=True, exist_ok=True)
     write(file, chosen.text)
     model = load_model(str(file))

@@ -117,8 +117,8 @@ def _only(path: Path, names: dict[str, Any]) -> Any:
     found = list(models.values()) or [(n, v) for n, v in names.items() if _makes(n, v, names["__name__"])]
     if not found:
         raise ModelError(
-            f"{path}: defines no phugoid.Model, and no function without arguments that says it returns one; "
-            f"name it, as in {path.name}:make"
+            f"{path}: defines no phugoid.Model, and no function without arguments that is annotated to return one "
+            f"(-> phugoid.Model); name it, as in {path.name}:make"
         )
     if len(found) > 1:
         listed = ", ".join(sorted(n for n, _ in found))

@@ -34,6 +34,7 @@ __all__ = [
     "PlotOption",
     "Reading",
     "ReportOption",
+    "as_options",
     "fixes",
     "numbers",
     "tolerances",
@@ -42,13 +43,17 @@ __all__ = [
 ModelArgument: TypeAlias = Annotated[
     str, typer.Argument(help="model.py, model.py:name, or a saved model or fit (.json, .h5).", metavar="MODEL")
 ]
-DataArgument: TypeAlias = Annotated[list[Path], typer.Argument(help="Data files, one record each.", metavar="DATA...")]
+DataArgument: TypeAlias = Annotated[list[Path], typer.Argument(help="Data files, one record each.", metavar="DATA")]
 PlotOption: TypeAlias = Annotated[
     Path | None,
-    typer.Option("--plot", help="Write the proof of match (.png, .pdf, .svg), one file for each record."),
+    typer.Option(
+        "--plot",
+        help="Write the figure of measured and computed outputs (.png, .pdf, .svg), one file for each record.",
+        metavar="FILE",
+    ),
 ]
 ReportOption: TypeAlias = Annotated[
-    Path | None, typer.Option("--report", help="Write a report with figures as one HTML page.")
+    Path | None, typer.Option("--report", help="Write a report with figures as one HTML page.", metavar="FILE.html")
 ]
 JsonOption: TypeAlias = Annotated[bool, typer.Option("--json", help="Print the results as JSON.")]
 
@@ -143,16 +148,42 @@ def _number(option: str, text: str, number: str) -> float:
     return value
 
 
-# Options of `read` as its errors call them, and as the command does.
-_CALLED = {
-    "rate=...": "--rate RATE",
-    "inputs=[...]": "--inputs A,B",
-    "outputs=[...]": "--outputs A,B",
-    "(inputs=...)": "(--inputs)",
-    "(outputs=...)": "(--outputs)",
-    ": rename: ": ": --rename: ",
-    " ([] for none)": "",
-}
+# What errors of the package call arguments and methods, and the options of the command that stand for them.
+_OPTIONS = (
+    (r" its values, or let ph.read do it:", r""),
+    (r"\bconvert=m\.units", r"--convert"),
+    (r"\bgive units=\{'([^']*)': \('([^']*)', '[^']*'\)\};", r"give --units \1=\2 --convert;"),
+    (r", or this one with units=\{'[^']*': \('[^']*', '[^']*'\)\}", r""),  # the command line has --convert alone
+    (r"\bunits=\{'[^']*': \('[^']*', '[^']*'\)\}, or convert=True without units", r"--convert, without --units"),
+    (r"\brename is \{column: name\}: \{'([^']*)': '([^']*)'\}", r"OLD is the column: --rename '\1=\2'"),
+    (r"\btime='([^']*)'", r"--time \1"),
+    (r"\bunits=\{'([^']*)': '([^']*)'\}", r"--units \1=\2"),
+    (r"\brate=\.\.\.", r"--rate RATE"),
+    (r"\b(inputs|outputs)=\[\.\.\.\]", r"--\1 A,B"),
+    (r"\bcolumns=\[\.\.\.\]", r"--columns A,B"),
+    (r"\((inputs|outputs)=\.\.\.\)", r"(--\1)"),
+    (r"\bconvert=True", r"--convert"),
+    (r": rename: ", r": --rename: "),
+    (r"\.rename\(\{\.\.\.\}\)", r"--rename OLD=NEW"),
+    (r" \(\[\] for none\)", r""),
+)
+
+
+def as_options(text: str) -> str:
+    """Return a message of the package with options of the command line in place of arguments in Python.
+
+    >>> as_options("name its 2 columns with columns=[...], or give time='my clock'")
+    "name its 2 columns with --columns A,B, or give --time 'my clock'"
+    """
+    for pattern, option in _OPTIONS:
+        text = re.sub(pattern, lambda found, option=option: _quoted(found.expand(option)), text)  # type: ignore[misc]
+    return text
+
+
+def _quoted(option: str) -> str:
+    """Return an option with its value quoted for the shell, where it has to be."""
+    name, space, value = option.partition(" ")
+    return name + space + shlex.quote(value) if space and name in ("--time", "--units") else option
 
 
 @dataclass(frozen=True)
@@ -180,7 +211,11 @@ class Reading:
         Option("--units", help="Unit of a column, instead of that in the file.", metavar="NAME=UNIT"),
     ] = None
     convert: Annotated[
-        bool, Option("--convert", help="Convert columns to SI units: degrees to radians, knots to m/s, ...")
+        bool,
+        Option(
+            "--convert",
+            help="Convert columns to the units of the model, others to SI: degrees to radians, knots to m/s, ...",
+        ),
     ] = False
     columns: Annotated[
         str | None,
@@ -211,27 +246,22 @@ class Reading:
         twice = [f for i, f in enumerate(files) if f.resolve() in [g.resolve() for g in files[:i]]]
         if twice:
             raise OptionError(f"{twice[0]} is given twice")
-        time_unit = (of.model if isinstance(of, Fit) else of).time_unit
+        model = of.model if isinstance(of, Fit) else of
         stems = [f.stem for f in files]
         before = of.experiments[0]._read_as if isinstance(of, Fit) else {}
-        return [self._record(f, str(f) if stems.count(f.stem) > 1 else None, time_unit, before) for f in files]
+        return [self._record(f, str(f) if stems.count(f.stem) > 1 else None, model, before) for f in files]
 
-    def _record(self, file: Path, name: str | None, time_unit: str, before: Mapping[str, Any]) -> Experiment:
+    def _record(self, file: Path, name: str | None, model: Model, before: Mapping[str, Any]) -> Experiment:
         given = self._given()
         if any(not given[option] for option in before):
             with contextlib.suppress(DataError):
                 as_before = {**given, **{option: given[option] or before[option] for option in before}}
-                found: Experiment = read(file, name=name, time_unit=time_unit, **as_before)
+                as_before["convert"] = model.units if as_before["convert"] else False
+                found: Experiment = read(file, name=name, time_unit=model.time_unit, **as_before)
                 return found
-        try:
-            record: Experiment = read(file, name=name, time_unit=time_unit, **given)
-            return record
-        except DataError as error:
-            text = str(error)
-            for option, called in _CALLED.items():
-                text = text.replace(option, called)
-            text = re.sub(r"time=('[^']*')", lambda found: f"--time {shlex.quote(found[1][1:-1])}", text)
-            raise DataError(text) from error
+        given["convert"] = model.units if self.convert else False
+        record: Experiment = read(file, name=name, time_unit=model.time_unit, **given)
+        return record
 
 
 _SOLVERS: Mapping[str, type[Newton] | type[Ipopt]] = {"newton": Newton, "ipopt": Ipopt}
@@ -243,7 +273,11 @@ class Estimation:
 
     order: Annotated[
         int | None,
-        Option("--order", help="Collocation points of a segment (2: trapezoidal rule); default: 4, or as saved."),
+        Option(
+            "--order",
+            help="Number of collocation points in a segment (2: trapezoidal rule); default: 4, or as saved.",
+            metavar="N",
+        ),
     ] = None
     start: Annotated[
         list[str] | None, Option("--start", help="Start value of a parameter or a state.", metavar="NAME=VALUE")

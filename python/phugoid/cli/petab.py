@@ -30,29 +30,41 @@ _DIFFERENT = 0.1
 
 def petab(
     problem: Annotated[Path, typer.Argument(help="The YAML file of the problem.", metavar="PROBLEM.yaml")],
-    starts: Annotated[int, typer.Option("--starts", help="Number of starts; 0 estimates from the nominal point.")] = 10,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the random starts.")] = 0,
+    starts: Annotated[
+        int, typer.Option("--starts", help="Number of starts; 0 estimates from the nominal point.", metavar="N")
+    ] = 10,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the random starts.", metavar="N")] = 0,
     screened_from: Annotated[
         int | None,
-        typer.Option("--screened-from", help="Number of random starts to simulate, of which the best are taken."),
+        typer.Option(
+            "--screened-from", help="Number of random starts to simulate, of which the best are taken.", metavar="N"
+        ),
     ] = None,
     time_limit: Annotated[
-        float | None, typer.Option("--time-limit", help="Time limit for all starts together, in s.")
+        float | None, typer.Option("--time-limit", help="Time limit for all starts together, in s.", metavar="S")
     ] = None,
     time_limit_each: Annotated[
-        float, typer.Option("--time-limit-each", help="Time limit for each start, in s.")
+        float, typer.Option("--time-limit-each", help="Time limit for each start, in s.", metavar="S")
     ] = 120.0,
     jobs: Annotated[
-        int | None, typer.Option("--jobs", help="Number of starts in parallel; default: number of cores.")
+        int | None, typer.Option("--jobs", help="Number of starts in parallel; default: number of cores.", metavar="N")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Write the best estimate as a PEtab parameter table.")
+        Path | None, typer.Option("--out", help="Write the best estimate as a PEtab parameter table.", metavar="FILE")
     ] = None,
-    plot: Annotated[Path | None, typer.Option("--plot", help="Write the waterfall figure.")] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            "--plot", help="Write the waterfall figure: how far below the best each start ended.", metavar="FILE"
+        ),
+    ] = None,
     *,
     json: JsonOption = False,
 ) -> int:
-    """Estimate a problem in the PEtab format from many starts, beside its nominal point."""
+    """Estimate a problem in the PEtab format from many starts.
+
+    The best optimum is compared with the log-likelihood at the nominal point.
+    """
     if starts < 0:
         raise OptionError(f"--starts: a whole number from 0, not {starts}")
     if jobs is not None and jobs < 1:
@@ -125,7 +137,7 @@ def petab(
             print(f"no start ended at an optimum; the best point that was reached has log-likelihood {value:.5f}")
         if total is not None and (integrated is None or abs(integrated - total) > _DIFFERENT):
             found = "cannot be integrated" if integrated is None else f"has the log-likelihood {integrated:.5f}"
-            print(f"The model integrated with the best estimate {found}: the estimate is not to be believed.")
+            print(f"The model integrated with the best estimate {found}: the path is not a solution of the model.")
         if total is not None and nominal is not None and total < nominal - 0.1:
             print("The nominal point is better than all that was found: take more starts.")
         print(f"\n{many.summary()}")

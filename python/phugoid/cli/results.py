@@ -6,6 +6,7 @@ import json
 import math
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
@@ -26,6 +27,7 @@ from ..saving.files import SUFFIXES
 from ..solvers import interrupts
 from ..summary import corrected
 from ..writing import PAGES, check_suffix, drawn, write
+from .options import as_options
 
 __all__ = [
     "INTERRUPTED",
@@ -96,7 +98,9 @@ def guard(debug: bool) -> Iterator[None]:
     ``debug`` shows the traceback too. Other errors are faults of phugoid itself, and pass.
     """
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn  # type: ignore[assignment]
+            yield
     except BrokenPipeError:  # the reader of stdout, such as `head`, has closed it; typer ends quietly
         raise
     except (PhugoidError, OSError) as error:
@@ -108,6 +112,11 @@ def guard(debug: bool) -> Iterator[None]:
     except KeyboardInterrupt:
         print("phugoid: interrupted", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
+
+
+def _warn(message: Warning | str, *_: Any) -> None:
+    """Print a warning of the package as a line on stderr, without the source code that raised it."""
+    print(f"phugoid: warning: {as_options(str(message))}", file=sys.stderr)
 
 
 def printed_summary(result: Any) -> str:
@@ -125,7 +134,7 @@ def printed_summary(result: Any) -> str:
 def _text(error: Exception) -> str:
     if isinstance(error, OSError) and not isinstance(error, PhugoidError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
-    return str(error).replace("Use .rename({...})", "Use --rename OLD=NEW") or type(error).__name__
+    return as_options(str(error)) or type(error).__name__
 
 
 def check_saved(path: Path | None, what: str) -> None:
@@ -253,7 +262,8 @@ def _estimates(group: Estimates, coloured: Estimates | None = None) -> dict[str,
     kept = ("value", "std_error", "unit", "fixed", "bounds_active")
     found = {name: {key: getattr(e, key) for key in kept} for name, e in group.items()}
     for name, e in (coloured or {}).items():
-        found[name]["coloured_std_error"] = e.std_error
+        found[name]["corrected_std_error"] = e.std_error
+        found[name]["coloured_std_error"] = e.std_error  # its name until 0.2
     return found
 
 

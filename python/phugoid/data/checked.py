@@ -89,7 +89,7 @@ def check_input(where: str, values: FloatArray, t: FloatArray) -> None:
         raise DataError(
             f"{where}: {_sample(bad[0], t)} is {values[bad[0]]}"
             f"{f' (and {bad.size - 1} more)' if bad.size > 1 else ''}; "
-            "inputs may not have missing values: fill or cut"
+            "inputs may not have missing values: interpolate them, or cut the record there"
         )
 
 

@@ -458,8 +458,11 @@ class Experiment(Preprocessing):
             )
         if name in self._left_out:
             raise DataError(f"{self._absent(kind, name)} The file has it, but it {self._left_out[name]}.")
-        there = [*group, *self._channels]
-        raise DataError(f"{self._absent(kind, name)}{listing(name, there)} Use .rename({{...}}) where names differ.")
+        there = list(dict.fromkeys([*group, *self._channels]))
+        unmeasured = ", and leave an output that was not measured out of the model" if kind == "output" else ""
+        raise DataError(
+            f"{self._absent(kind, name)}{listing(name, there)} Use .rename({{...}}) where names differ{unmeasured}."
+        )
 
 
 def as_experiments(data: Any, caller: str) -> list[Experiment]:

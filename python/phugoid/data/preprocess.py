@@ -190,7 +190,7 @@ class Preprocessing:
         if fine is not None and self._signals:
             raise OptionError(
                 f"decimate: the input '{next(iter(self._signals))}' of experiment '{name}' has samples of its own "
-                "already and keeps them: leave inputs away"
+                "already and keeps them: omit inputs"
             )
         if filter:
             edge = 0.4 * rate / factor

@@ -19,7 +19,7 @@ from .filtering import Interpolations
 from .multirate import multirate
 from .readers import TIME_UNITS, TIMES, Source, arrays, flight_logs, text
 from .units import convert as converted
-from .units import differ, si
+from .units import differ, si, target
 
 __all__ = ["read"]
 
@@ -76,7 +76,7 @@ class _Columns:
         named: str | None,
         rate: float | None,
         units: Units,
-        convert: bool,
+        convert: bool | Mapping[str, str],
         time_unit: str,
     ) -> None:
         self.where, self.name, self.rate = source.where, source.name, rate
@@ -94,9 +94,12 @@ class _Columns:
         self._clock = {n: by_file.get(c.times, time) if c.times else time for n, c in self._columns.items()}
         self.clocks = set() if rate is not None else set(self._clock.values())
         if rate is None and self.clocks == {time} and time not in self._columns:
+            # A column that the user has given another name is known not to be the time.
+            others = [n for n in names if n not in rename.values()]
+            such = f", such as time='{_likely_times(others)}'" if others else " by time='...'"
             raise DataError(
                 f"{self.where}: has no time column '{time}'.{_listing(time, names)} Give the name of the one "
-                f"with times, such as time='{_likely_times(names)}', or rate=... (samples per second) for even sampling"
+                f"with times{such}, or rate=... (samples per second) for even sampling"
             )
         self.available = [n for n in names if n not in self.clocks]
 
@@ -150,7 +153,7 @@ class _Columns:
         if given is not None and not isinstance(given, str):
             into = given[1]
         elif self._convert and unit:
-            into = si(unit)
+            into = target(unit, self._convert.get(name, "") if isinstance(self._convert, Mapping) else "")
             if into is None:
                 raise DataError(
                     f"{where}: convert=True, but its unit '{unit}' is not known; give it with "
@@ -187,11 +190,16 @@ class _Columns:
         for name, given in self._units.items():
             stated = self._columns[name].unit if name in self._read and name in self._columns else ""
             if stated and given and isinstance(given, str) and differ(stated, given):
-                texts.append(
+                text = (
                     f"{self.where}, column '{name}': the file states the unit '{stated}', and units={{'{name}': "
-                    f"'{given}'}} labels its numbers '{given}' without converting them; to convert them give "
-                    f"units={{'{name}': ('{stated}', '{given}')}} (at the command line --convert, without --units)"
+                    f"'{given}'}} replaces it"
                 )
+                if not self._convert:
+                    text += (
+                        " without converting the numbers; to convert them give "
+                        f"units={{'{name}': ('{stated}', '{given}')}}, or convert=True without units"
+                    )
+                texts.append(text)
         return texts
 
 
@@ -272,7 +280,7 @@ def read(
     interpolation: Interpolations = "linear",
     window: tuple[float, float] | None = None,
     rate: float | None = None,
-    convert: bool = False,
+    convert: bool | Mapping[str, str] = False,
     split_gaps: Literal[False] = False,
     time_unit: str | None = None,
 ) -> Experiment: ...
@@ -292,7 +300,7 @@ def read(
     interpolation: Interpolations = "linear",
     window: tuple[float, float] | None = None,
     rate: float | None = None,
-    convert: bool = False,
+    convert: bool | Mapping[str, str] = False,
     *,
     split_gaps: Literal[True] | float,
     time_unit: str | None = None,
@@ -312,7 +320,7 @@ def read(
     interpolation: Interpolations = "linear",
     window: tuple[float, float] | None = None,
     rate: float | None = None,
-    convert: bool = False,
+    convert: bool | Mapping[str, str] = False,
     split_gaps: bool | float = False,
     time_unit: str | None = None,
 ) -> Experiment | list[Experiment]:
@@ -342,8 +350,9 @@ def read(
     rate       samples per unit of time, for a file without a time column: time runs from 0, and ``time`` is not used.
     split_gaps  True or a length of time: the parts between gaps in the sampling, as `Experiment.split` has them, are
                returned as a list.
-    convert    True brings each column whose unit is known to SI. Times whose unit is given become s, or
-               ``time_unit``, in any case.
+    convert    True converts each column whose unit is known to SI; ``m.units`` (name -> unit) to the units of the
+               model m, and the other columns to SI. A number per minute or hour becomes one in Hz. Times whose unit is
+               given become s, or ``time_unit``, in any case.
     time_unit  unit of the times of the record, as the model has it: ``"h"``. Times without a unit are in it already.
 
     Channels with time stamps of their own keep them, see `multirate`; ``inputs`` and ``outputs`` must then be given.
@@ -413,7 +422,7 @@ def _options(
     rate: float | None,
     rename: Mapping[str, str] | None,
     units: Units | None,
-    convert: bool,
+    convert: bool | Mapping[str, str],
     columns: Sequence[str] | None,
 ) -> dict[str, Any]:
     """Return the options that change names and units of a file, those that are given, to read another file likewise."""

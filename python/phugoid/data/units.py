@@ -13,7 +13,7 @@ from ..errors import DataError, listing
 from ..modelling.model import Model
 from .experiment import Experiment, FloatArray
 
-__all__ = ["check_units", "convert", "differ", "si"]
+__all__ = ["check_units", "convert", "differ", "si", "target"]
 
 _DEG = math.pi / 180.0
 _FT = 0.3048
@@ -47,6 +47,7 @@ _ALSO = {
     **{"meters": "m", "metre": "m", "metres": "m", "NM": "nmi", "kts": "kt", "knot": "kt", "knots": "kt"},
     **{"mbars": "mbar", "lbs": "lb", "slugs": "slug", "dps": "deg/s", "mps": "m/s", "fps": "ft/s", "kmh": "km/h"},
     **{"kph": "km/h", "g0": "g", "gn": "g", "-": "", "1": "", "none": "", "kelvin": "K", "°R": "degR", "/s": "1/s"},
+    **{"U/min": "rpm", "n/a": ""},
 }
 # Temperatures whose zero is not that of K: (offset added first, factor).
 _OFFSET = {"degC": (273.15, 1.0), "°C": (273.15, 1.0), "degF": (459.67, 5.0 / 9.0), "°F": (459.67, 5.0 / 9.0)}
@@ -111,17 +112,37 @@ def convert(values: FloatArray, unit: str, into: str, where: str) -> FloatArray:
 def differ(unit: str, other: str) -> bool:
     """Return whether a number in one unit means something else in the other; False where either is not known.
 
-    Radians are no dimension here: who writes ``1/s`` for an angular rate means ``rad/s``.
+    Radians are no dimension here: who writes ``1/s`` for an angular rate means ``rad/s``. Hertz count cycles, of which
+    each has 2π rad.
 
-    >>> differ("deg", "rad"), differ("1/s", "rad/s"), differ("m", "m/s"), differ("furlong", "m")
-    (True, False, True, False)
+    >>> differ("deg", "rad"), differ("1/s", "rad/s"), differ("m", "m/s"), differ("furlong", "m"), differ("Hz", "rad/s")
+    (True, False, True, False, True)
     """
     scales = [_scale(text) for text in (unit, other)]
     one, two = scales
     if one is None or two is None:
         return False
+    if any("Hz" in a.label and "rad" in b.label for a, b in ((one, two), (two, one))):
+        return True
     kinds = [{(d, p) for d, p in scale.dimensions if d != "rad"} for scale in (one, two)]
     return kinds[0] != kinds[1] or one.offset != two.offset or not math.isclose(one.factor, two.factor, rel_tol=1e-9)
+
+
+def target(unit: str, wanted: str = "") -> str | None:
+    """Return the unit to convert to: the one ``wanted`` where it is of the same kind, else that of SI; None for an
+    unknown unit.
+
+    A number per minute or hour becomes one in Hz: it may count revolutions, and ``1/s`` might be taken for ``rad/s``.
+
+    >>> target("deg"), target("rpm", "rad/min"), target("m", "kW"), target("1/min"), target("1/min", "1/h")
+    ('rad', 'rad/min', 'm', 'Hz', '1/h')
+    """
+    scale, into = _scale(unit), _scale(wanted) if wanted else None
+    if scale is None:
+        return None
+    if into is not None and scale.dimensions == into.dimensions:
+        return wanted
+    return "Hz" if scale.dimensions == (("s", -1),) and scale.factor != 1.0 else scale.label
 
 
 def _scale(unit: str) -> _Scale | None:
@@ -196,8 +217,22 @@ def check_units(model: Model, runs: Sequence[Experiment], caller: str) -> None:
                 if recorded and expected and differ(recorded, expected):
                     raise DataError(
                         f"{caller}: {kind} '{name}' of experiment '{run.name}' is in '{recorded}', but the model has "
-                        f"it in '{expected}'; convert it where it is read, "
-                        f"units={{'{name}': ('{recorded}', '{expected}')}}, or all channels to SI, convert=True "
-                        f"(--convert at the command line); or put right a wrong label, "
-                        f"units={{'{name}': '{expected}'}} (--units {name}={expected})"
+                        f"it in '{expected}'; {_remedy(run, name, recorded, expected)}"
                     )
+
+
+def _remedy(run: Experiment, name: str, recorded: str, expected: str) -> str:
+    """Return what to do about a unit that is not that of the model."""
+    steps = re.findall(rf"(?:converted |, ){re.escape(name)} from (.+?) to ", " ".join(run.history))
+    stated = steps[-1] if steps else recorded  # in the file
+    wrong = f"if the stated unit is wrong, correct it with units={{'{name}': '{expected}'}}"
+    if target(stated, expected) == expected:
+        return (
+            f"convert its values, or let ph.read do it: all channels with convert=m.units, or this one with "
+            f"units={{'{name}': ('{stated}', '{expected}')}}; or, {wrong}"
+        )
+    scale = _scale(stated)
+    if scale is not None and scale.dimensions == (("s", -1),) and "rad" in expected:
+        turns = "rpm" if math.isclose(scale.factor, 1.0 / 60.0) else "rev/s"
+        return f"if it counts revolutions, give units={{'{name}': ('{turns}', '{expected}')}}; {wrong}"
+    return f"these are units of different kinds; {wrong}"

@@ -442,7 +442,7 @@ def optimal_plan(
     kind = criterion_of("optimal_plan", criterion)
     names = list(bounds)
     if not names:
-        raise OptionError("optimal_plan: bounds says what is chosen, as in {'width': (0.2, 1.0)}")
+        raise OptionError("optimal_plan: bounds gives the range of each variable, as in {'width': (0.2, 1.0)}")
     whole("optimal_plan: generations", generations, 1)
     for n, pair in bounds.items():
         low, high = (number("optimal_plan", f"a bound of {n}", b) for b in pair)
@@ -495,5 +495,7 @@ def optimal_plan(
         ended = deadline.ended()
     if best is None:
         early = f" before the end ({ended})" if ended else ""
-        raise OptionError(f"optimal_plan: nothing that was tried{early} keeps its limits. The nearest: {nearest[1]}")
+        raise OptionError(
+            f"optimal_plan: no manoeuvre that was tried{early} stays within its limits. The nearest: {nearest[1]}"
+        )
     return replace(best, warnings=(*best.warnings, f"{ended}: this is the best plan so far")) if ended else best

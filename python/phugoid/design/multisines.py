@@ -186,7 +186,7 @@ def _made(
 ) -> dict[str, _Array]:
     times = grid(caller, t)
     if not isinstance(amplitudes, Mapping) or not amplitudes:
-        raise OptionError(f"{caller}: amplitudes says how far each input moves, as in {{'de': 0.05, 'da': 0.1}}")
+        raise OptionError(f"{caller}: amplitudes gives the amplitude of each input, as in {{'de': 0.05, 'da': 0.1}}")
     sizes = {str(n): number(caller, f"the amplitude of {n}", a) for n, a in amplitudes.items()}
     if phases not in get_args(Phases):
         hint = did_you_mean(str(phases), get_args(Phases))

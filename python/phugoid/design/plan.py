@@ -354,7 +354,9 @@ class Plans(Mapping[str, Plan]):
         kind = criterion_of("best", criterion)
         kept = [p for p in self._plans.values() if p.within_limits]
         if not kept:
-            raise OptionError("best: no manoeuvre keeps its limits; .summary() says what leaves them, and by how much")
+            raise OptionError(
+                "best: no manoeuvre stays within its limits; .summary() says what exceeds them, and by how much"
+            )
         return min(kept, key=lambda p: p.criteria[kind])
 
     def summary(self) -> str:

@@ -159,7 +159,7 @@ def three_two_one_one(
     """
     lengths, usual = PATTERNS["balanced 3-2-1-1" if balanced else "3-2-1-1"]
     if heights is not None and balanced:
-        raise OptionError("three_two_one_one: balanced says what the heights are; give one of the two")
+        raise OptionError("three_two_one_one: balanced determines the heights; give one of the two")
     return _steps("three_two_one_one", t, amplitude, lengths, usual if heights is None else heights, width, start, rise)
 
 

@@ -114,7 +114,7 @@ def candidates_given(fit: FitResult, given: Any, base: Refit) -> list[Candidate]
             )
         if c.place not in places:
             raise OptionError(
-                f"diagnose: candidate '{c.name}' acts on {c.place.kind} '{c.place.name}', which the model has not"
+                f"diagnose: candidate '{c.name}' acts on {c.place.kind} '{c.place.name}', which the model does not have"
             )
     names = [c.name for c in listed]
     twice = [n for n in dict.fromkeys(names) if names.count(n) > 1]

@@ -84,29 +84,30 @@ def diagnose(
     progress: bool | Callable[[str], None] = False,
     time_limit: float | None = None,
 ) -> DiagnosisResult:
-    """Return what a fitted model is missing: its misfit, the causes, and what each gains.
+    """Find what a fitted model is missing; return its misfit, the causes, and the gain of each.
 
     Every candidate is scored from one linearisation of the fit, the best are fitted, and one is accepted where the gain
     in likelihood, with noise that has the autocorrelation of the residuals, is more than chance gives among so many,
-    and where it predicts data that were held out. Then again, until nothing significant is left.
+    and where it predicts data that were held out. This is repeated with
+    the cause in the model, until no candidate is significant.
 
     ``candidates``: those of `candidates` for the model unless given; or terms of your own that are added to these, as
     in ``{"Cm": [alpha*q**2]}``.
     ``validation``: other records of the same vehicle; with only initial states and biases free they measure the gain.
     Without any, blocks of the records are left out in turn.
-    ``biases``: names of the parameters that are estimated again in the validation records, as for `Fit.validate`: trim,
-    say. None: biases of sensors, and initial values that each experiment has its own of. Parameters of the dynamics
-    with a value for each experiment must be among them, for which one another record has is not known.
-    ``progress``: True shows what is done; a function is called with it. Ctrl-C ends the search with what was found, and
-    goes on to what is quick; once more, it leaves out the ranking where there is none yet.
+    ``biases``: names of the parameters that are estimated again in the validation records, as for `Fit.validate`,
+    such as the trim. None: sensor biases, and initial values with a value for each experiment. Parameters of the
+    dynamics with a value for each experiment must be among them, since their value in another record is not known.
+    ``progress``: True shows what is done; a function is called with it. Ctrl-C ends the search, and the
+    result has what was found until then; pressed again, it ends without a ranking where there is none yet.
     ``time_limit``: in seconds. It ends the search as Ctrl-C does.
 
     A fit that ended at no optimum is estimated again: continued, with parameters fixed that the data do not determine,
     or begun from short segments of the records, and a note says so. Where none of these converges the misfit is
     unexplained, and the finding says what the status of the fit means, and with which terms there is an optimum. Where
-    an output is the size of what the model has for it, without its sign, the model with that is estimated and
-    diagnosed; samples that a sensor which is stuck or slowly renewed repeats are left out, and jumps of an angle by a
-    turn are taken away. Where the model cannot be fitted to the validation records, blocks of the records are left out
+    an output is the magnitude of what the model computes, the model with the magnitude is estimated and diagnosed;
+    repeated samples of a sensor that is stuck or renewed at a lower rate are left out, and jumps of an angle by a full
+    turn are removed. Where the model cannot be fitted to the validation records, blocks of the records are left out
     in turn as without them. Long records are searched in windows, and a note says so.
 
     Raises DataError for a fit that is exact or of too short a record, and for a validation record without the channels;

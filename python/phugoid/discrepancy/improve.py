@@ -129,7 +129,7 @@ def improve(
     progress: bool | Callable[[str], None] = False,
     time_limit: float | None = None,
 ) -> ImprovementResult:
-    """Diagnose a fit, put in what is named, and diagnose again, until nothing more is named.
+    """Diagnose a fit, add the named causes, and diagnose again, until no cause is named.
 
     The arguments are those of `diagnose`; ``steps`` is the most diagnoses, ``time_limit`` in seconds is that of all.
     Inputs that are found to be held between their samples, or to be recorded with noise, are held or filtered from

@@ -58,22 +58,22 @@ def estimate(
 
     Where jumps or kinks of the state equations (`sign`, `abs`, `where`, ...) keep a fit by `Collocation` from
     converging, or are crossed where its mesh is too coarse for them, they are smoothed, over widths that are reduced
-    from fit to fit until what they leave in error is small beside the standard errors. `Fit.smoothing` and the message
-    say so.
+    from fit to fit until the error of smoothing is small compared with the standard errors. `Fit.smoothing` and the
+    message say so.
 
     Where a run by `Collocation` with `Newton` ends without an optimum, or at one at which no output is matched well
     (R² below 0.5), other ways from the same start are tried in turn: where outputs are densely sampled and ``start`` is
     not a fit, estimates with output injection (states are driven towards the measurements, with a gain that falls to
     zero), a regression on the initial paths of the states, steps along paths that satisfy the equations, and the exact
     Hessian. The message says which one led to the result.
-    A fit without ``solver`` and ``start`` is tried with the noise held at the spread of the measurements first, too;
+    A fit without ``solver`` and ``start`` is first tried with the noise fixed at the spread of the measurements, too;
     a warning says where the likelihood was higher before. ``max_iterations`` below 200 leaves all this out.
 
     Ctrl-C ends the run and returns the best point so far, with status "interrupted". Pressed once more, while its
-    standard errors are computed, it leaves these out (NaN, and a warning); a third is as ever.
+    standard errors are computed, it leaves these out (NaN, and a warning); a third time, it raises KeyboardInterrupt.
 
     Raises ModelError, DataError or OptionError for what cannot be right, EvaluationError where the model is not
-    finite at the start. Not to converge is a status of the fit, not an error.
+    finite at the start. A fit that does not converge has a status that says so; this is no error.
     """
     if isinstance(model, Model):
         model = model.copy()  # what is declared on the user's own afterwards is not a part of this fit

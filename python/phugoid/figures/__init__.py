@@ -23,6 +23,7 @@ __all__ = [
     "LIMIT",
     "MEASURED",
     "MODEL",
+    "NARROW",
     "ORANGE",
     "PURPLE",
     "RESIDUAL",
@@ -83,6 +84,9 @@ STYLE: dict[Any, Any] = {
 
 WIDTH = 7.2
 """Inches: between the margins of an A4 page."""
+
+NARROW = 3.9
+"""Inches: the width of a phone, where letters have the size that they have on a page."""
 
 
 class Panels(ByName[Any]):

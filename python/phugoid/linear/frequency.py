@@ -82,7 +82,7 @@ def empirical_response(
         response = _ratio(suy, suu)
     kept = (f > 0.0) & (suu > 10.0 ** (floor_db / 10.0) * suu.max(initial=0.0))
     if not kept.any():
-        raise DataError(f"{where}: does not move, so that there is no response to it")
+        raise DataError(f"{where}: is constant, so that there is no response to it")
     coherence = std_error = None
     if averages is not None and averages > 1.0:
         coherence = np.clip(_ratio(_power(suy), suu * syy).real, 0.0, 1.0)

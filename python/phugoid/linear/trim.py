@@ -166,11 +166,11 @@ class _TrimEquations:
         if more > 0:
             raise OptionError(
                 f"trim: {len(self.unknown)} unknowns ({', '.join(self.unknown)}) and {len(self.equations)} equations "
-                f"({', '.join(self.names)}): hold {more} more, as in at={{'{self.unknown[0]}': ...}}, or say what "
+                f"({', '.join(self.names)}): give {more} more, as in at={{'{self.unknown[0]}': ...}}, or say what "
                 "outputs are to be"
             )
         if not self.unknown:
-            raise OptionError("trim: everything is held: there is no unknown")
+            raise OptionError("trim: all states and inputs are given, so that there is no unknown")
 
     def numbers(self, x: _Array) -> dict[str, float]:
         return {**self.values, **self.held, **dict(zip(self.unknown, x.tolist(), strict=True))}

@@ -302,7 +302,7 @@ class Multistart:
         if count == 1:
             text = f"1 of {done} starts reached the best optimum: there may well be a better one. Take more starts."
         if done == 1:
-            text = "One start says nothing of other optima."
+            text = "One start does not show whether there are other optima."
         said = [text]
         first = next(o for o in self.outcomes if o.index == self.optima[0].indices[0])
         if not first.converged:

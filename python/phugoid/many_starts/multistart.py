@@ -299,7 +299,7 @@ def multistart(
     solver: Any = None,
     time_limit: float | None = None,
 ) -> Multistart:
-    """Estimates from many starts, to see which optima there are and how many starts reach the best one.
+    """Estimate from many starts, to find the optima and how many starts reach the best one.
 
     ``ranges``: name -> (low, high) of parameters, of ``sigma_<output>`` and of states, in their units; each start
     draws from all of them, uniformly; of a parameter with ``transform="log"`` it draws the logarithm. A state drawn is

@@ -301,7 +301,7 @@ def stated_noise(before: Noise, args: Sequence[Noise], sigma: Mapping[str, float
     joint = isinstance(before, Gaussian) and (before.correlated or before.covariance is not None)
     if joint or not isinstance(before, (Gaussian, PerOutput)):
         raise ModelError(
-            f"noise: the model has {before.kind} noise for all outputs; give the whole noise model anew, with sigma"
+            f"noise: the model has {before.kind} noise for all outputs; give the complete noise model, with sigma"
         )
     scales = {**before.sigma, **scales}
     return PerOutput(densities, scales) if densities else Gaussian(scales)

@@ -288,7 +288,7 @@ class Model:
 
     @property
     def declared_inputs(self) -> dict[str, str]:
-        """Units of the inputs by name, as declared: late inputs of `delay` among them, "" where none was given."""
+        """Units of the inputs by name, as declared: delayed inputs of `delay` among them, "" where none was given."""
         return dict(self._core.inputs)
 
     @property

@@ -171,8 +171,8 @@ def flight_path(
     accelerometer  (x, y, z) of the accelerometers from the centre of gravity (m; forward, right, down). Then the
                    angular accelerations are inputs too: pdot, qdot, rdot (rad/s²).
     alpha_vane, beta_vane  (x, y, z) of the vanes from the centre of gravity (m; forward, right, down): they measure the
-                   local flow, which rotation changes. A vane ahead of the centre of gravity by x reads much like one
-                   that is delayed by x/V: give its position before asking for its delay. A coordinate that is None is
+                   local flow, which rotation changes. A vane ahead of the centre of gravity by x looks much like one
+                   that is delayed by x/V: give its position before estimating its delay. A coordinate that is None is
                    estimated: ``(None, 0, 0)`` gives the parameter ``x_alpha_vane`` (m, -100 to 100).
     flank          the sideslip sensor reads the flank angle atan(v/u), as a vane does; else asin(v/V).
     wind           of "north", "east", "up" the components ``wind_<which>`` (m/s, where the air goes to) that are

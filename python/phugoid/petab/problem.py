@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from .._core import Expr
 from ..data.experiment import Experiment
+from ..data.readers import existing
 from ..errors import DataError, EvaluationError, ModelError, OptionError, counted
 from ..fit_result import FitResult
 from ..modelling.model import Model
@@ -186,12 +187,15 @@ def read_petab(path: str | os.PathLike[str]) -> PetabProblem:
     that are estimated, and others.
     """
     library, _ = petab_library()
+    if not str(path).startswith(("http:", "https:")):
+        existing(Path(path))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of what the package uses
             problem = library.Problem.from_yaml(str(Path(path)))
     except Exception as error:  # of its many readers
-        raise DataError(f"{path}: it cannot be read as a PEtab problem ({type(error).__name__}: {error})") from error
+        what = f"the entry {error} is missing" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
+        raise DataError(f"{path}: it cannot be read as a PEtab problem ({what})") from error
     name = Path(path).stem
     if getattr(problem.model, "type_id", "sbml") != "sbml":
         raise ModelError(f"{path}: its model is of the type {problem.model.type_id}; SBML is supported")

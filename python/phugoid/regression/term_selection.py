@@ -129,7 +129,7 @@ def selection_options(given: Any) -> TermSelection:
 
 @dataclass(frozen=True)
 class SelectionStep:
-    """One subset of the terms on the way of a selection.
+    """One subset of the terms that a selection compares.
 
     action       by what it differs from the one before: "+ Cma", "- Cmq", "- Cmq + Cma + CmV"; "" for the first one.
     terms        the candidates that are in it.
@@ -201,7 +201,7 @@ class SelectedTerms:
         return "\n".join([self._title, "", text_table(*self._rows()), "", *self._sentences()])
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
-        """Plot what is left in error against the steps, on the data, by PRESS, by PSE and on held-out data.
+        """Plot the errors over the steps of the selection, on the data, by PRESS, by PSE and on held-out data.
 
         Returns the figure and its axes, ``{"error": ...}``.
         """

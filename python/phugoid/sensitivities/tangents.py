@@ -98,7 +98,7 @@ class Tangents:
         problem = linear._problem
         columns, directions = linear.directions()
         if not columns.size or not np.isfinite(columns).all():
-            raise EvaluationError("the outputs depend on nothing that is free, or not in a finite way")
+            raise EvaluationError("no free parameter or initial state has a finite effect on the outputs")
         u, values, vt = np.linalg.svd(columns, full_matrices=False)
         kept = values > _NOTHING * values[:1]
         self.basis = u[:, kept]

@@ -38,7 +38,7 @@ HINTS = {
     "converged": "a local optimum was found; other starts (ph.multistart) show whether it is the global one",
     "acceptable": "stopped at an acceptable point: tolerances were not all met, often for want of precision; "
     "check the standard errors",
-    "interrupted": "stopped by the user; this is the best point so far, and start=fit goes on from it",
+    "interrupted": "stopped by the user; this is the best point so far; continue with start=fit",
     "iteration limit": "not converged; allow more iterations, or go on with start=fit",
     "time limit": "not converged; allow more time, or go on with start=fit",
     "infeasible": "no state path near this point satisfies the equations; check start values, bounds and units",

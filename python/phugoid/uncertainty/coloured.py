@@ -77,7 +77,7 @@ class CorrectedErrors:
             ratio_text = "" if math.isnan(ratio) else f"{ratio:.2f}"
             value = plus_minus(e.value, e.std_error).partition(" ± ")[0]
             rows.append([name, value, error, corrected, ratio_text, e.unit])
-        heads = ["parameter", "estimate", "plain", "coloured", "ratio", "unit"]
+        heads = ["parameter", "estimate", "std error", "corrected", "ratio", "unit"]
         noise = [
             [n, f"{r[1] if r.size > 1 else 0.0:.2f}", f"{self.times[n]:.3g}"] for n, r in self.autocorrelation.items()
         ]

@@ -271,7 +271,7 @@ def _chosen(fit: FitResult, names: Any) -> list[str]:
     free = [n for n, e in fit.parameters.items() if n not in noise and not e.fixed]
     if names is None:
         return free
-    asked = [names] if isinstance(names, str) else list(names)
+    asked = [names] if isinstance(names, str) or not isinstance(names, Iterable) else list(names)
     for name in asked:
         if name in free:
             continue

@@ -81,8 +81,8 @@ fn gap_warning(inputs: &[&str], experiment: &Experiment) -> Option<String> {
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
     (!found.is_empty()).then(|| {
         format!(
-            "experiment '{}': inputs have gaps between samples, of {}{more}: what they did there is not known, and the \
-             model is driven by what was interpolated or held over them; split the record there",
+            "experiment '{}': inputs have gaps between samples, of {}{more}: they are not known there, and the model uses \
+             values that are interpolated or held; split the record there",
             experiment.name,
             listed.join(", ")
         )

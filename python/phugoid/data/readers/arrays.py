@@ -14,6 +14,7 @@ import numpy as np
 
 from ...errors import DataError
 from . import TIMES, Column, Source, contents, existing, load, reading, split_unit, stem
+from .text import words
 
 __all__ = [
     "is_frame",
@@ -49,6 +50,7 @@ def _pandas(frame: Any, time: str | None) -> Source:
         frame = frame.set_axis([".".join(map(str, name)) for name in frame.columns], axis=1)
     names = [str(name) for name in frame.columns]
     columns = [_column(name, partial(_of_pandas, frame, j)) for j, name in enumerate(names)]
+    columns, left_out = _without_words(columns, [kind.kind for kind in frame.dtypes])
     index = frame.index
     time_name = "t" if time is None else time
     if not _has_times(time, [column.name for column in columns]) and getattr(index, "nlevels", 1) == 1:
@@ -60,7 +62,21 @@ def _pandas(frame: Any, time: str | None) -> Source:
             columns = [clock, *(Column(c.name, c.values, c.unit, c.header, times) for c in columns)]
             if times is not None:
                 columns[0] = Column(clock.name, clock.values, clock.unit, clock.header, times)
-    return _source(columns, "the DataFrame")
+    return _source(columns, "the DataFrame", left_out)
+
+
+def _without_words(columns: list[Column], kinds: Sequence[str]) -> tuple[list[Column], dict[str, str]]:
+    """Return the columns that do not hold words, and why the others are left out, as a text file's are; ``kinds`` are
+    those of numpy's types, of which only "O" may be text."""
+    left_out = {}
+    for column, kind in zip(columns, kinds, strict=True):
+        if kind != "O":
+            continue
+        values: Any = column.values(column.name)
+        cells = [cell for cell in values if cell is not None and cell == cell]  # NaN is missing
+        if all(isinstance(cell, str) for cell in cells) and (word := words(cells)):
+            left_out[column.name] = f"holds text ({word!r})"
+    return [c for c in columns if c.name not in left_out], left_out
 
 
 def _has_times(time: str | None, names: Sequence[str]) -> bool:
@@ -79,7 +95,10 @@ def _pandas_series(series: Any, time: str | None) -> Source:
 def _polars(frame: Any, time: str | None) -> Source:
     if hasattr(frame, "collect"):
         frame = frame.collect()
-    return _source([_column(n, lambda _, n=n: frame[n].to_numpy()) for n in frame.columns], "the DataFrame")
+    columns = [_column(n, lambda _, n=n: frame[n].to_numpy()) for n in frame.columns]
+    kinds = ["O" if str(kind) in ("String", "Utf8", "Categorical", "Object") else "" for kind in frame.dtypes]
+    columns, left_out = _without_words(columns, kinds)
+    return _source(columns, "the DataFrame", left_out)
 
 
 def _xarray(data: Any, time: str | None) -> Source:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -93,8 +93,7 @@ def _parse(path: Path, columns: Sequence[str] | None, delimiter: str | None) -> 
     else:
         raise DataError(
             f"{file}, line {content[0][0]}: a header is missing (the line holds numbers); "
-            f"name its {len(first)} columns with columns=[...] "
-            "(--columns at the command line)"
+            f"name its {len(first)} columns with columns=[...]"
         )
     headers = [header or f"column{j}" for j, header in enumerate(headers, start=1)]
     lines = [number for number, _ in content[start:]]
@@ -147,7 +146,7 @@ def _text(path: Path) -> str:
             return raw.decode("utf-16")
     if b"\0" in raw[:4096]:
         raise DataError(
-            f"{path}: is not a text table, and its ending is of no other kind that is known ({KINDS}); load it "
+            f"{path}: is not a text table; other files are recognised by their endings ({KINDS}); load it "
             "with its own reader (pandas.read_excel) and give the table to ph.read"
         )
     try:
@@ -233,7 +232,12 @@ def _numbers(table: _Table, j: int, name: str) -> NDArray[Any]:
 
 def _remark(table: _Table, j: int) -> str:
     """Return the first text of a column that holds words and missing cells alone, such as remarks; "" for any other."""
-    there = (cell for row in table.rows if (cell := row[j]).lower() not in _MISSING)
+    return words(row[j] for row in table.rows)
+
+
+def words(cells: Iterable[str]) -> str:
+    """Return the first text of cells that are words or missing, such as remarks; "" where others are among them."""
+    there = (cell for cell in cells if cell.lower() not in _MISSING)
     first = next(there, "")
     if not _WORDS.match(first) or not _is_text(first):
         return ""

@@ -110,7 +110,7 @@ class Catalogue:
             yield self._step(Place("parameter", name), words)
         for place in self.structure.places:
             if place.kind == "output":
-                words = f"the zero of {place.name} jumps during the record (a sensor that is set anew, or slips)"
+                words = f"the zero of {place.name} jumps during the record (a sensor that is readjusted, or slips)"
                 yield self._step(place, words)
 
     def _step(self, place: Place, words: str) -> Jump:
@@ -389,7 +389,7 @@ class Catalogue:
                 at = Place("equation", x)
                 yield StateLimit(f"{x}:limit", at, words, "limit", self.scales, (), (limit,), variables=(x,))
                 for z in self.structure.fed_by(x):
-                    words = f"{x} stops at a limit (a store that is full), and a part of what comes further goes to {z}"
+                    words = f"{x} stops at a limit (a store that is full), and a part of the excess goes to {z}"
                     shape = self.names(f"level_of_{x}_over_{z}"), self.names(f"part_of_{x}_to_{z}")
                     name = f"{x}:overflow_{z}"
                     yield Overflow(name, at, words, "limit", self.scales, (), shape, variables=(x,), into=z)

@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 # Whoever looks for the scale of an input whose derivatives are free does not find it.
-_LEFT_OUT = " What the model's parameters can do already is left out."
+_LEFT_OUT = " Effects that the parameters of the model can represent are left out."
 
 
 class Candidates(Sequence[Candidate]):
@@ -127,7 +127,7 @@ class Candidates(Sequence[Candidate]):
         return found
 
     def on(self, points: Sequence[Points], trim: Mapping[str, float] | None = None) -> Candidates:
-        """Return the same with centres, widths and grids for a record; without those of which it can say nothing, since
+        """Return the same with centres, widths and grids for a record; without those that it cannot determine, since
         a variable does not vary or (sign forms) does not change sign. Others' candidates stay as they are."""
         if not points:
             raise DataError("candidates: there are no points")

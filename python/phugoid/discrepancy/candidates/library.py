@@ -74,7 +74,7 @@ def candidates(
     equations: Literal["own", "all"] = "own",
     base: Model | None = None,
 ) -> Candidates:
-    """Everything that the library can think of that the model may be missing, with canonical names.
+    """Return the candidates for what the model may be missing, by canonical name.
 
     In quantities, and in state equations that hold parameters but no such quantity: constant and linear terms,
     squares, products and cubes of states and inputs, linear terms, squares and cubes of declared quantities that stand
@@ -86,9 +86,9 @@ def candidates(
     clipping, play of a position's sensor, linear terms, squares and products of rates, derivatives of rates, lags of
     inputs that act at once. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of
     conditions (`Model.conditions`) scale, bias and delay.
-    Parameters of the state equations may change in the course of a record, and rates saturate with what is stored. What
-    the model's parameters can do already is left out, and so is what another candidate says too: names of `FAMILIES`
-    that stand first win.
+    Parameters of the state equations may change in the course of a record, and rates saturate with what is stored.
+    Effects that the parameters of the model can represent are left out, and of candidates with the same effect those
+    remain whose family comes first in `FAMILIES`.
 
     points     paths that the scales are taken from: centres of powers, widths of rounded corners, grids of time
                constants and frequencies. Without, those of `Scales`; ``library.on(points)`` does it later.

@@ -160,5 +160,5 @@ def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequenc
     rivals = [r for r in refits if r is not None and not {*r.names} <= {*final.names}]
     if not rivals:
         return ""
-    search.cache.watch(f"looking for a manoeuvre that tells {candidate.name} from {', '.join(aliases)}")
+    search.cache.watch(f"looking for a manoeuvre that distinguishes {candidate.name} from {', '.join(aliases)}")
     return discrimination_advice(final, rivals)

@@ -41,12 +41,13 @@ if TYPE_CHECKING:
 __all__ = [
     "Misfit",
     "misfit",
+    "misfit_figure",
 ]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Misfit:
-    """What the simulation gets wrong.
+    """The misfit of a model: the structured part of its residuals, by output.
 
     channels  by name, as the model declares them.
     fit       whose residuals they are.
@@ -88,7 +89,7 @@ class Misfit:
         several), ``"<channel> autocorrelation"``, ``"<channel> spectrum"`` and ``"<channel> regime"``. Raises
         UnknownName for a channel that is not there.
         """
-        return _figure(self, channels)
+        return misfit_figure(self, channels)
 
     def table_html(self, most: int | None = None) -> Html:
         """Return a row for each channel, or for the ``most`` worst of them, for notebooks."""
@@ -115,11 +116,11 @@ class Misfit:
 
 
 def misfit(fit: FitResult) -> Misfit:
-    """Return what a fitted model gets wrong, from its residuals; with process noise (`FilterError`), from its
+    """Return the misfit of a fitted model, from its residuals; with process noise (`FilterError`), from its
     innovations.
 
-    Records with gaps, of several rates and of any number are taken; what is too short gets fewer answers, and
-    ``notes`` says so.
+    There may be any number of records, with gaps and of several rates; of short ones less is computed, and ``notes``
+    says so.
 
     Raises DataError for what is not a fit, or where there are no residuals at all.
     """
@@ -140,13 +141,15 @@ def misfit(fit: FitResult) -> Misfit:
     return Misfit(found, fit)
 
 
-_PER_CHANNEL = 3.1  # inches
+_PER_CHANNEL, _PER_CHANNEL_NARROW = 3.1, 4.4  # inches
 _EXPERIMENTS = 4  # side by side
 _NAME = 90  # characters across the figure
 
 
-def _figure(misfit: Misfit, channels: Sequence[str] | None) -> tuple[Figure, dict[str, Axes]]:
-    """Draw `Misfit.plot`."""
+def misfit_figure(
+    misfit: Misfit, channels: Sequence[str] | None, width: float = WIDTH
+) -> tuple[Figure, dict[str, Axes]]:
+    """Draw `Misfit.plot`; in a narrow figure the regime stands below the spectrum."""
     names = list(misfit.worst[:3] if channels is None else channels)
     for name in names:
         if name not in misfit.channels:
@@ -155,15 +158,18 @@ def _figure(misfit: Misfit, channels: Sequence[str] | None) -> tuple[Figure, dic
         raise DataError("Misfit.plot: there is no channel to draw")
     panels: dict[str, Any] = {}
     with styled() as plt:
-        figure = plt.figure(figsize=(WIDTH, _PER_CHANNEL * len(names) + 0.25), layout="constrained")
+        narrow = width < WIDTH
+        height = (_PER_CHANNEL_NARROW if narrow else _PER_CHANNEL) * len(names) + 0.25
+        figure = plt.figure(figsize=(width, height), layout="constrained")
         parts = figure.subfigures(len(names), 1, squeeze=False)[:, 0]
         for part, name in zip(parts, names, strict=True):
             channel = misfit.channels[name]
             records = [r for r in misfit.fit.records if residual_of(r, name) is not None]
             shown = _most_telling(channel, records)
-            _key(part, misfit, names) if name == names[0] else None
+            _key(part, misfit, names, narrow) if name == names[0] else None
             part.suptitle(plain(_heading(channel)), x=0.01, ha="left", fontsize=9.0)
-            grid = part.add_gridspec(2, 3, height_ratios=(1.15, 1.0))
+            grid = part.add_gridspec(3, 2) if narrow else part.add_gridspec(2, 3, height_ratios=(1.15, 1.0))
+            cells = (grid[1, 0], grid[1, 1], grid[2, :]) if narrow else (grid[1, 0], grid[1, 1], grid[1, 2])
             spans = np.array([r.t[-1] - r.t[0] for r in shown])
             shares = np.maximum(spans / spans.sum(), 0.12)  # so that a short one still can be read
             times = grid[0, :].subgridspec(1, len(shown), width_ratios=shares / shares.sum(), wspace=0.04)
@@ -174,15 +180,15 @@ def _figure(misfit: Misfit, channels: Sequence[str] | None) -> tuple[Figure, dic
                 panels[key] = axis
                 room = int(_NAME * shares[i] / shares.sum()) if len(records) > 1 else 0
                 _draw_time(axis, channel, record, first=i == 0, room=room)
-            for i, what in enumerate(("autocorrelation", "spectrum", "regime")):
-                panels[f"{name} {what}"] = part.add_subplot(grid[1, i])
+            for what, cell in zip(("autocorrelation", "spectrum", "regime"), cells, strict=True):
+                panels[f"{name} {what}"] = part.add_subplot(cell)
             _draw_autocorrelation(panels[f"{name} autocorrelation"], channel)
             _draw_spectrum(panels[f"{name} spectrum"], channel)
             _draw_regime(panels[f"{name} regime"], channel)
     return figure, Panels(panels)
 
 
-def _key(part: Any, misfit: Misfit, names: Sequence[str]) -> None:
+def _key(part: Any, misfit: Misfit, names: Sequence[str], narrow: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -193,6 +199,9 @@ def _key(part: Any, misfit: Misfit, names: Sequence[str]) -> None:
     ]
     if any(misfit.channels[name].spans for name in names):
         handles.append(Patch(color=SPAN, label="stands out"))
+    if narrow:  # no room beside the heading
+        part.legend(handles=handles, loc="outside lower right", ncols=4, frameon=False, fontsize=7.0)
+        return
     key = part.legend(handles=handles, loc="upper right", ncols=4, frameon=False, fontsize=7.0, borderaxespad=0.2)
     key.set_in_layout(False)
 

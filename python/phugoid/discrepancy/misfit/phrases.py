@@ -74,7 +74,8 @@ def _perhaps(c: Any) -> list[str]:
     most = c.telling
     if most is None or most.share < _MUCH:
         return []
-    return [f"maybe with {most.variable} ({percent(most.share)} of its power, which slow noise could explain as well)"]
+    share = percent(most.share)
+    return [f"possibly changes with {most.variable} ({share} of its power, which slow noise could explain as well)"]
 
 
 def time_phrase(c: Any) -> str:
@@ -122,11 +123,11 @@ def _frequencies(c: Any) -> list[str]:
         return parts
     nyquist = float(c.spectrum.frequency[-1])
     if band.low == 0.0 and c.spectrum.most_below < _SLOW * nyquist:
-        parts.append(f"slow, 80 % below {number(c.spectrum.most_below)} {hz}")
+        parts.append(f"slow, 80 % of its power below {number(c.spectrum.most_below)} {hz}")
     elif band.low == 0.0:
-        parts.append(f"{percent(band.share)} below {number(band.high)} {hz}")
+        parts.append(f"{percent(band.share)} of its power below {number(band.high)} {hz}")
     else:
-        parts.append(f"{percent(band.share)} between {number(band.low)} and {number(band.high)} {hz}")
+        parts.append(f"{percent(band.share)} of its power between {number(band.low)} and {number(band.high)} {hz}")
     return parts
 
 

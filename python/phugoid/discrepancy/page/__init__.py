@@ -8,6 +8,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any, Literal
 
+from ...figures import NARROW, WIDTH
 from ...figures.fit import sigmas_of
 from ...modelling.model import Model
 from ...notebook import equation
@@ -15,7 +16,7 @@ from ...pages import PageTable, histories, picture, render, sources
 from ...parameters import Estimate
 from ...time_unit import SECONDS, TimeUnit
 from ...writing import PAGES, check_folder, check_suffix, write
-from ..misfit.misfit import Misfit, misfit
+from ..misfit.misfit import Misfit, misfit, misfit_figure
 from ..misfit.phrases import number, percent, what_stands_out, with_unit
 from ..search.evidence import AssessmentSettings
 from ..search.finding import DiagnosisResult, ExtensionResult, Finding
@@ -37,6 +38,7 @@ __all__ = [
 Outcome = Literal["named", "nothing", "unexplained"]
 
 _WIDTH = 110
+_WIDTHS = (WIDTH, NARROW)  # of each figure of the page, in inches
 # Of the residuals' power, what can be predicted and is most of it.
 _MOSTLY = 0.9
 # Ratio of residuals to their noise, from which on what named causes leave is worth a word.
@@ -46,7 +48,7 @@ _NEARLY_ALL = 0.97
 
 
 def outcome(diagnosis: DiagnosisResult) -> Outcome:
-    """Return what a diagnosis comes to, of three; surrogates and minor findings alone count as nothing named."""
+    """Return the conclusion of a diagnosis, one of three; with surrogates and minor findings alone it is "nothing"."""
     verdict = diagnosis.verdict
     return verdict if verdict in ("named", "unexplained") else "nothing"
 
@@ -94,7 +96,7 @@ def _minor(findings: Sequence[Finding]) -> str:
         text += f" Minor: {', '.join(little)}, significant, but less than {least} of the misfit."
     if open_:
         what = "is significant, but what it explains" if len(open_) == 1 else "are significant, but what they explain"
-        text += f" {', '.join(open_)} {what} of data held out may be chance."
+        text += f" {', '.join(open_)} {what} of held-out data may be chance."
     return text
 
 
@@ -191,7 +193,7 @@ def finding_lines(finding: Finding) -> list[str]:
     gain = f"Gain in log-likelihood, each model with its own coloured noise: {with_sign(finding.gain)}"
     gain += f" (threshold {finding.threshold:.1f})"
     if math.isfinite(finding.held_out_gain):
-        gain += f"; on data held out, both with the noise of the extended model: {with_sign(finding.held_out_gain)}"
+        gain += f"; on held-out data, both with the noise of the extended model: {with_sign(finding.held_out_gain)}"
     if math.isfinite(finding.gain):
         lines.append(f"{gain}.")
     if finding.cause and finding.held_out_gain <= 0.0:
@@ -200,10 +202,10 @@ def finding_lines(finding: Finding) -> list[str]:
         )
     if finding.aliases:
         rivals = [
-            f"{name} ({with_sign(finding.rivals[name])})" if name in finding.rivals else name
+            f"{name} (gain {with_sign(finding.rivals[name])})" if name in finding.rivals else name
             for name in finding.aliases
         ]
-        doubted = "is not proved" if finding.ringing else "does not predict"
+        doubted = "is not proved" if finding.ringing else "does not predict held-out data"
         told = "The data do not distinguish it from" if finding.cause else f"What fits, but {doubted}"
         if finding.curve and not finding.cause:
             told = "Name of this candidate"
@@ -296,7 +298,8 @@ _GROWN = 0.05  # of the RMS, by which residuals on held-out data may grow withou
 def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
     """Write a diagnosis as one HTML page: for screen, phone and print, which needs no network.
 
-    Residuals of the model, the cause and its rivals, the evidence, the new equations, the gain, open questions, and
+    Residuals of the model, the cause and other candidates for it, the evidence, the new equations, the gain, open
+    questions, and
     which data and versions it comes from.
     """
     check_folder(path)
@@ -342,7 +345,7 @@ def _explained(diagnosis: DiagnosisResult) -> Any:
     """Return the figure that tells the verdict; None where no finding has a part of the misfit that it explains."""
     if not any(f.explained == f.explained for f in diagnosis.findings):
         return None
-    return picture(explained_figure(diagnosis.findings)[0])
+    return picture(*(explained_figure(diagnosis.findings, width)[0] for width in _WIDTHS))
 
 
 def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
@@ -355,7 +358,7 @@ def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
     pictures = [
         (
             f"Residuals of {n}: {what_stands_out(found.channels[n])}",
-            picture(found.plot([n])[0]),
+            picture(*(misfit_figure(found, [n], width)[0] for width in _WIDTHS)),
         )
         for n in found.worst[:_SHOWN]
     ]
@@ -377,8 +380,8 @@ def _cause(finding: Finding, time: TimeUnit) -> dict[str, Any]:
         "name": alias_set(finding),
         "status": finding.status,
         "lines": finding_lines(finding),
-        "rivals": PageTable(["cause or rival", "gain in log-likelihood"], rows, "lr"),
-        "curve": picture(curve_figure(finding, time)[0]) if finding.curve else None,
+        "rivals": PageTable(["candidate", "gain in log-likelihood"], rows, "lr"),
+        "curve": picture(*(curve_figure(finding, time, width)[0] for width in _WIDTHS)) if finding.curve else None,
     }
 
 
@@ -390,7 +393,7 @@ def _evidence(diagnosis: DiagnosisResult) -> dict[str, Any]:
         rows.append([s.name, *numbers, s.explanation, s.remark])
     heads = ["candidate", "statistic", "ranking", "white", "distinct", "explanation", "remark"]
     return {
-        "picture": picture(ranking_figure(ranking, diagnosis.threshold)[0]),
+        "picture": picture(*(ranking_figure(ranking, diagnosis.threshold, width)[0] for width in _WIDTHS)),
         "table": PageTable(heads, rows, "lrrrrtt"),
     }
 
@@ -426,10 +429,10 @@ def _gain(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[str, A
     gain = extension.gain
     held_out = bool(gain.held_out_rms_before)
     totals = [
-        ["log-likelihood, residuals taken as white", with_sign(gain.log_likelihood)],
-        ["log-likelihood, residuals whitened", with_sign(gain.log_likelihood_whitened)],
-        ["log-likelihood on data held out, whitened", with_sign(gain.held_out)],
-        ["BIC (below zero is better)", with_sign(gain.bic)],
+        ["log-likelihood, white noise", with_sign(gain.log_likelihood)],
+        ["log-likelihood, coloured noise", with_sign(gain.log_likelihood_whitened)],
+        ["log-likelihood on held-out data, coloured noise", with_sign(gain.held_out)],
+        ["change of BIC (negative: better)", with_sign(gain.bic)],
     ]
     rows = []
     for name in gain.channels:
@@ -447,8 +450,8 @@ def _gain(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[str, A
         "grown": ", ".join(name for name in gain.channels if gain.change(name, held_out=True) > _GROWN),
         "totals": PageTable(["total", "gain"], totals, "lr"),
         "channels": PageTable(heads, rows, "llrrrrrr"),
-        "overview": picture(gain_figure(gain, diagnosis.fit.model.units)[0]),
-        "histories": picture(findings_figure(diagnosis.fit, extension)[0]),
+        "overview": picture(*(gain_figure(gain, diagnosis.fit.model.units, width)[0] for width in _WIDTHS)),
+        "histories": picture(*(findings_figure(diagnosis.fit, extension, None, width)[0] for width in _WIDTHS)),
     }
 
 
@@ -461,7 +464,7 @@ def _open(diagnosis: Any) -> list[str]:
         texts.append(f"{', '.join(surrogates)} may represent a cause that is not among the candidates.")
     for f in findings:
         if f.cause and f.aliases:
-            texts.append(f"Which of {', '.join([f.cause, *f.aliases])} it is, these data do not show. {f.advice}")
+            texts.append(f"These data do not show which of {', '.join([f.cause, *f.aliases])} is the cause. {f.advice}")
     if not texts and outcome(diagnosis) == "unexplained":
         texts.append("What causes the structure of the residuals is not established.")
     return texts

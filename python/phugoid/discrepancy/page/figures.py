@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "curve_figure",
+    "diagnosis_figure",
     "diagnosis_figures",
     "explained_figure",
     "findings_figure",
@@ -31,8 +32,17 @@ __all__ = [
 _BARS = 12
 
 
+def diagnosis_figure(diagnosis: DiagnosisResult) -> tuple[Figure, dict[str, Axes]]:
+    """Return the figure of `Diagnosis.plot` and its axes by name; see there."""
+    if any(np.isfinite(f.explained) for f in diagnosis.findings):
+        return explained_figure(diagnosis.findings)
+    if diagnosis.ranking:
+        return ranking_figure(diagnosis.ranking, diagnosis.threshold)
+    return diagnosis.misfit.plot()
+
+
 def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
-    """Return the figures of `Diagnosis.plot`; see there."""
+    """Return the figures of `Diagnosis.figures`; see there."""
     figures = []  # as they are made, so they are shown in a notebook
     if any(np.isfinite(f.explained) for f in diagnosis.findings):
         figures.append(explained_figure(diagnosis.findings)[0])
@@ -49,13 +59,13 @@ def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
 
 # Half-width of an interval of 95 % of a normal distribution.
 _NORMAL = 1.959963984540054
-# Rivals that are drawn beside a finding.
-_RIVALS = 3
+# Other candidates that are drawn below a finding.
+_OTHERS = 3
 
 
-def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axes]]:
-    """Return what findings explain of the misfit in free simulation of data held out, with 95 % intervals; rivals
-    beneath, and beside it by how much the mean square of each output falls.
+def explained_figure(findings: Sequence[Finding], width: float = WIDTH) -> tuple[Figure, dict[str, Axes]]:
+    """Return what findings explain of the misfit in free simulation of data held out, with 95 % intervals; other
+    candidates beneath, and beside it by how much the mean square of each output falls.
 
     Named causes are dark, minor findings and surrogates pale. Hatched is what differs from record to record, which
     explains a part of the misfit of the fitted records. Returns the figure and the axes by ``"explained"`` and
@@ -64,17 +74,18 @@ def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axe
     shown = [f for f in findings if np.isfinite(f.explained)]
     if not shown:
         raise DataError("explained_figure: no finding has a part of the misfit that it explains")
-    rivals = [[n for n in f.aliases if n in f.rivals_explained][:_RIVALS] for f in shown]
+    rivals = [[n for n in f.aliases if n in f.rivals_explained][:_OTHERS] for f in shown]
     outputs = list(dict.fromkeys(name for f in shown for name in f.explained_outputs))
     rows = sum(1 + len(each) for each in rivals)
     with styled({"hatch.linewidth": 0.6}) as plt:
+        narrow = width < WIDTH  # the panels stand one below the other
         figure, (left, right) = plt.subplots(
-            1,
-            2,
-            figsize=(WIDTH, 0.32 * rows + 1.1),
+            2 if narrow else 1,
+            1 if narrow else 2,
+            figsize=(width, (0.64 if narrow else 0.32) * rows + (1.7 if narrow else 1.1)),
             layout="constrained",
             sharey=True,
-            gridspec_kw={"width_ratios": [1.7, 1.0]},
+            gridspec_kw={} if narrow else {"width_ratios": [1.7, 1.0]},
         )
         row, labels = 0, []
         for f, others in zip(shown, rivals, strict=True):
@@ -116,7 +127,7 @@ def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axe
     return figure, Panels({"explained": left, "outputs": right})
 
 
-def curve_figure(finding: Finding, time: TimeUnit = SECONDS) -> tuple[Figure, dict[str, Axes]]:
+def curve_figure(finding: Finding, time: TimeUnit = SECONDS, width: float = WIDTH) -> tuple[Figure, dict[str, Axes]]:
     """Return what a disturbance or an unknown function adds to its place, with a band of 95 %, over time or over its
     variable.
 
@@ -130,19 +141,19 @@ def curve_figure(finding: Finding, time: TimeUnit = SECONDS) -> tuple[Figure, di
     # Knots of several records stand one after the other.
     pieces = np.split(np.arange(at.size), np.flatnonzero(np.diff(at) <= 0.0) + 1)
     with styled() as plt:
-        figure, axes = plt.subplots(figsize=(WIDTH, 2.0), layout="constrained")
+        figure, axes = plt.subplots(figsize=(width, 2.0), layout="constrained")
         for piece in pieces:
             low, high = value[piece] - _NORMAL * error[piece], value[piece] + _NORMAL * error[piece]
             axes.fill_between(at[piece], low, high, color=MODEL, alpha=0.2, linewidth=0.0)
             axes.plot(at[piece], value[piece], color=MODEL, linewidth=1.2)
         axes.axhline(0.0, color=INPUT, linewidth=0.6)
         axes.set_xlabel(plain(what[2:-1]) if what.startswith("f(") else time.axis())
-        axes.set_ylabel(f"added to {plain(where)}" if where else "what is missing")
+        axes.set_ylabel(f"added to {plain(where)}" if where else "missing term")
     return figure, Panels({"curve": axes})
 
 
 def findings_figure(
-    fit: FitResult, extension: ExtensionResult, channels: Sequence[str] | None = None
+    fit: FitResult, extension: ExtensionResult, channels: Sequence[str] | None = None, width: float = WIDTH
 ) -> tuple[Figure, dict[str, Axes]]:
     """Per channel of the experiment where residuals fall most, in parts of what they were: residuals before and after,
     and beneath what the extension changes in the model's output.
@@ -150,7 +161,7 @@ def findings_figure(
     channels  names; None: the three of which the RMS falls most.
 
     The change is the output of the extended model minus that of the base model, each at its own estimates: the added
-    effect with what the other parameters made of it. Returns the figure and the axes by ``"<channel>"`` and
+    effect together with the changes of the other parameters. Returns the figure and the axes by ``"<channel>"`` and
     ``"<channel> change"``. Raises UnknownName for a channel that is not there.
     """
     falls = [_fall(b, a) for b, a in zip(fit.records, extension.fit.records, strict=True)]
@@ -170,7 +181,7 @@ def findings_figure(
             2 * len(channels),
             1,
             sharex=True,
-            figsize=(WIDTH, 1.9 * len(channels) + 0.6),
+            figsize=(width, 1.9 * len(channels) + 0.6),
             layout="constrained",
             gridspec_kw={"height_ratios": [1.5, 1.0] * len(channels)},
             squeeze=False,
@@ -211,12 +222,14 @@ def _finite(value: float) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def ranking_figure(ranking: Sequence[Scored], threshold: float) -> tuple[Figure, dict[str, Axes]]:
+def ranking_figure(ranking: Sequence[Scored], threshold: float, width: float = WIDTH) -> tuple[Figure, dict[str, Axes]]:
     """Bars of the best candidates: twice the expected gain in log-likelihood, against the threshold.
 
-    Filled bars use residuals whitened, ticks noise without the best few terms, which candidates are ranked by, circles
-    residuals taken as white, which mislead. Hatched are candidates with a remark: hard to tell from the parameters
-    there. Returns the figure and the axes by ``"ranking"``. Raises DataError where there is none.
+    Bars: with noise that has the autocorrelation of the residuals. Ticks: with the autocorrelation of what the best few
+    terms leave of them, by which candidates are ranked. Circles: with white noise, which overrates slow effects.
+    Hatched are candidates with a remark, which are hard to distinguish from parameters of the model.
+
+    Returns the figure and the axes by ``"ranking"``. Raises DataError where there is none.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -224,7 +237,7 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float) -> tuple[Figure,
         raise DataError("ranking_figure: there are no candidates")
     shown = sorted(ranking, key=lambda s: s.ranking, reverse=True)[:_BARS]
     with styled({"hatch.linewidth": 0.4}) as plt:
-        figure, axis = plt.subplots(figsize=(WIDTH, 0.24 * len(shown) + 0.9), layout="constrained")
+        figure, axis = plt.subplots(figsize=(width, 0.24 * len(shown) + 0.9), layout="constrained")
         low = max(1.0, 0.3 * min(threshold, *(s.statistic for s in shown)))
         for row, scored in enumerate(shown):
             passed = scored.statistic > threshold
@@ -253,7 +266,8 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float) -> tuple[Figure,
         axis.invert_yaxis()
         axis.set_xlabel("expected 2 Δ log-likelihood")
         handles = _ranking_key(threshold, any(s.remark for s in shown))
-        figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), frameon=False, fontsize=7.0)
+        columns = len(handles) if width == WIDTH else 2
+        figure.legend(handles=handles, loc="outside upper right", ncols=columns, frameon=False, fontsize=7.0)
     return figure, Panels({"ranking": axis})
 
 
@@ -262,9 +276,9 @@ def _ranking_key(threshold: float, remarks: bool) -> list[Any]:
     from matplotlib.patches import Patch
 
     key: list[Any] = [
-        Patch(color=MEASURED, label="residuals whitened"),
-        Line2D([], [], linestyle="", marker="|", ms=7.0, mec=RESIDUAL, mew=1.6, label="as ranked"),
-        Line2D([], [], linestyle="", marker="o", ms=3.6, mfc="white", mec=RESIDUAL, mew=0.9, label="taken as white"),
+        Patch(color=MEASURED, label="coloured noise"),
+        Line2D([], [], linestyle="", marker="|", ms=7.0, mec=RESIDUAL, mew=1.6, label="ranked by"),
+        Line2D([], [], linestyle="", marker="o", ms=3.6, mfc="white", mec=RESIDUAL, mew=0.9, label="white noise"),
         Line2D([], [], color=MODEL, linewidth=1.1, label=f"threshold {threshold:.0f}"),
     ]
     if remarks:
@@ -272,7 +286,9 @@ def _ranking_key(threshold: float, remarks: bool) -> list[Any]:
     return key
 
 
-def gain_figure(gain: Gain, units: Mapping[str, str] | None = None) -> tuple[Figure, dict[str, Axes]]:
+def gain_figure(
+    gain: Gain, units: Mapping[str, str] | None = None, width: float = WIDTH
+) -> tuple[Figure, dict[str, Axes]]:
     """RMS of the residuals after over before, per channel: fitted data (dots) and data held out (diamonds).
 
     Returns the figure and the axes by ``"gain"``. Raises DataError for a gain without channels.
@@ -282,7 +298,7 @@ def gain_figure(gain: Gain, units: Mapping[str, str] | None = None) -> tuple[Fig
         raise DataError("gain_figure: the gain has no channels")
     held_out = [gain.change(name, held_out=True) for name in names]
     with styled() as plt:
-        figure, axis = plt.subplots(figsize=(WIDTH, 0.3 * len(names) + 0.9), layout="constrained")
+        figure, axis = plt.subplots(figsize=(width, 0.3 * len(names) + 0.9), layout="constrained")
         axis.axvline(100.0, color=INPUT, linewidth=0.6)
         rows = np.arange(len(names))
         apart = 0.12 if np.isfinite(held_out).any() else 0.0
@@ -303,6 +319,6 @@ def gain_figure(gain: Gain, units: Mapping[str, str] | None = None) -> tuple[Fig
         axis.tick_params(axis="y", length=0.0)
         axis.invert_yaxis()
         axis.margins(x=0.06, y=0.08)
-        axis.set_xlabel("RMS of residuals after, % of before (left of the line is better)")
+        axis.set_xlabel("RMS of residuals after, % of before")
         figure.legend(loc="outside upper right", ncols=2, frameon=False, fontsize=7.5)
     return figure, Panels({"gain": axis})

@@ -58,14 +58,14 @@ class Scored:
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that the model misses.
+    """A finding of a diagnosis: an effect that the model misses, with its evidence.
 
     cause          canonical name, ``where:what`` (`candidates`); "" where the cause is not established.
-    aliases        other causes that the data do not tell from it, the likeliest first, three at most: read the finding
-                   as "one of cause and aliases".
+    aliases        other causes that the data do not distinguish from it, the likeliest first, three at most: one of
+                   the cause and its aliases is present.
     status         "named"; "minor": significant, but it explains less of the misfit than 5 %, or no more than chance
-                   does, in free simulation; "surrogate": it fits, but stands in for something else, since a parameter
-                   is outside of what is physical, or what it leaves is not noise and more than it explains;
+                   does, in free simulation; "surrogate": it fits, but represents another cause, since a parameter
+                   is outside its physical range, or the remaining misfit is not noise and exceeds what it explains;
                    "unexplained": the residuals hold more than noise, and no candidate predicts it.
     coefficient, std_error, interval   of its first parameter, or the amplitude of what is periodic, in ``unit``; the
                    interval is of 95 %. NaN where unexplained. Standard errors are those for noise with the
@@ -190,17 +190,17 @@ class Gain:
         """Return a table for the terminal."""
         heads, rows = self._table()
         lines = [
-            f"log-likelihood  {self.log_likelihood:+.1f} (residuals taken as white)",
-            f"                {self.log_likelihood_whitened:+.1f} (residuals whitened)",
+            f"log-likelihood  {self.log_likelihood:+.1f} (white noise)",
+            f"                {self.log_likelihood_whitened:+.1f} (coloured noise)",
         ]
         if self.held_out == self.held_out:
-            lines.append(f"                {self.held_out:+.1f} (held out, whitened)")
-        lines.append(f"BIC             {self.bic:+.1f} (below zero is better)")
+            lines.append(f"                {self.held_out:+.1f} (held-out data, coloured noise)")
+        lines.append(f"BIC             {self.bic:+.1f} (negative: better)")
         return "\n".join(lines) + "\n\n" + text_table(heads, rows, "l" + "r" * (len(heads) - 1))
 
     def _repr_html_(self) -> str:
         heads, rows = self._table()
-        note = f"in log-likelihood {self.log_likelihood_whitened:+.1f}, residuals whitened"
+        note = f"in log-likelihood {self.log_likelihood_whitened:+.1f} with coloured noise"
         if self.held_out == self.held_out:
             note += f"; {self.held_out:+.1f} on data held out"
         return notebook_page("Gain", table(heads, rows, "l" + "r" * (len(heads) - 1)), note=note)

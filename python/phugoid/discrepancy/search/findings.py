@@ -203,9 +203,9 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, model: Model) 
         which = " and ".join(c.names)
         were = "were" if len(c.names) > 1 else "was"
         rest = "outputs" if c.kind == "input" else "other channels"
-        begin, end = (f"{number(abs(x), 2)} {time} {'late' if x > 0.0 else 'early'}" for x in (c.late, c.until))
+        begin, end = (f"{number(abs(x), 2)} {time} {'behind' if x > 0.0 else 'ahead'}" for x in (c.late, c.until))
         explanation = (
-            f"{which} {were} recorded by another clock than the {rest}, {begin} at the beginning of a record and "
+            f"{which} {were} recorded with another clock than the {rest}, {begin} at the beginning of a record and "
             f"{end} at the end of the longest one"
         )
         advice = (
@@ -297,7 +297,7 @@ def finding_of_record_change(c: RecordChange) -> Finding:
             else f"Compare units and calibration of {c.place.name} in these records: the values are scale errors."
         )
     elif c.place.kind == "output":
-        advice = f"Declare a bias of {c.place.name} with per_experiment=True, or set the sensor up anew."
+        advice = f"Declare a bias of {c.place.name} with per_experiment=True, or readjust the sensor."
     elif c.place.kind == "parameter":
         advice = (
             f"Declare {c.place.name} with per_experiment=True, or find what was changed between the records: mass, "

@@ -427,6 +427,6 @@ def _corrected(data: Sequence[Experiment], intervals: _Intervals, coefficients: 
                 mine[name] = t, u, delay, order
             first += k.size
     return [
-        e._stepped("inputs between samples as the outputs tell", e._columns_of(), s)
+        e._stepped("inputs between samples, estimated from the outputs", e._columns_of(), s)
         for e, s in zip(data, signals, strict=True)
     ]

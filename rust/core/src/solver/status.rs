@@ -73,7 +73,9 @@ impl Status {
     /// What it means and what to do.
     pub fn hint(self) -> &'static str {
         match self {
-            Status::Converged => "a local optimum was found; other starts tell whether it is the global one",
+            Status::Converged => {
+                "a local optimum was found; estimate from other start values to see whether it is the global one"
+            }
             Status::Acceptable => {
                 "stopped at an acceptable point: tolerances were not all met, often for want of precision; \
                  check the standard errors"

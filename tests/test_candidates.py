@@ -113,6 +113,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         "backlash": 4,  # of the inputs, and of the sensors of theta, a position, and alpha, an angle
         "rate_limit": 2,
         "clipped": 7,
+        "integral": 11,  # of the thrust in each parameter, where it adds up
         "variation": 11,
         "step": 18,
         "stribeck": 6,
@@ -147,7 +148,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         *("T:scale", "T:bias", "T:deadband", "T:saturation", "T:backlash", "T:rate_limit", "T:lag", "T:delay"),
     )
     # Biases of sensors act on no state; what changes of them is the sensor's drift.
-    assert library.only("Cma:*", "theta:drift").names == ("theta:drift", "Cma:drift", "Cma:step")
+    assert library.only("Cma:*", "theta:drift").names == ("theta:drift", "Cma:integral_T", "Cma:drift", "Cma:step")
     assert "b_q:drift" not in library.names
     # Kinematics and what quantities govern are not doubted.
     assert not any(name.split(":")[0].endswith("'") for name in library.names)
@@ -173,7 +174,7 @@ def test_scales_are_those_of_the_record(path: ph.results.Points, library: ph.res
     still = {**path.values, "de": np.full(path.n, -0.03)}
     calm = ph.results.Points("calm", path.t, still, path.rates, path.outputs, path.output_rates)
     assert not any(re.search(r"\bde\b|_de", name) for name in ph.candidates(pitch(), points=[calm]).names)
-    one_sided = {**path.values, "q": np.abs(path.values["q"])}
+    one_sided = {**path.values, "q": np.abs(path.values["q"]) + 0.1 * np.ptp(path.values["q"])}
     climb = ph.results.Points("climb", path.t, one_sided, path.rates, path.outputs, path.output_rates)
     assert "Cm:sign(q)" not in ph.candidates(pitch(), points=[climb])
     assert ph.candidates(pitch()).on([path]).names == library.names

@@ -90,7 +90,8 @@ class Catalogue:
             title = f"{name}:exponent_{x.shown}"
             yield FactorExponent(title, place, words, "exponent", self.scales, (e,), (), (x.symbol,))
         used = [v for v in self.structure.variables if v.kind == "input" and self.structure.used(v.symbol)]
-        used = [v for v in used if v not in conditions]
+        # What is used up is an amount: a deflection is none.
+        used = [v for v in used if v not in conditions and model.units.get(v.symbol, "") not in ANGLES]
         for place, x in product([p for p in self.structure.places if p.kind == "equation"], used):
             yield self._falling_mass(place, x)
         for name, x in product(self.structure.acting, used):

@@ -228,14 +228,16 @@ class ModelStructure:
 
     @cached_property
     def factors_of_parameters(self) -> list[tuple[str, Variable]]:
-        """The free parameters, each with a variable that all it multiplies goes with in proportion."""
+        """The free parameters, each with a variable that all it multiplies goes with in proportion. Angles and rates
+        are none: there are functions of them about zero."""
         groups = [*self.quantities.values(), *self.dynamics.values()]
+        amounts = [v for v in self.variables if not v.rate and self.model.units.get(v.symbol, "") not in ANGLES]
         found = []
         for name in self.acting:
             slopes = [Expr(e.diff(name)) for e in groups if name in e.symbols]
             found += [
                 (name, v)
-                for v in self.variables
+                for v in amounts
                 if slopes and all(_vanishes_at_zero(s, v.symbol) and _is_linear(s, v.symbol) for s in slopes)
             ]
         return found

@@ -21,8 +21,9 @@ _Array = NDArray[np.float64]
 # Samples before, from which the signal of a candidate is predicted; parts of the signal's power that must be predicted,
 # and not, for the two to be told apart.
 _LAGS, _EACH = 10, 1e-4
-# By how much twice the log-likelihood of noise that is fed back must be ahead of that of a term.
-_AHEAD = 4.0
+# By how much twice the log-likelihood of noise that is fed back must be ahead of that of a term; and below what its own
+# loss must be, for where both are there noise alone does not explain the signal.
+_AHEAD, _ALONE = 4.0, 9.0
 
 
 def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
@@ -36,23 +37,26 @@ def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
     signals = [candidate.signals(p, shape) for p in linear.points]
     (signal,) = seen.filter(linear.answers(candidate.place, signals))
     line = linear.rows[linear.model.output_names.index(candidate.place.name)]
-    parts = [(signal[rows], seen.errors[rows]) for rows in line if rows.stop - rows.start > 4 * _LAGS]
-    if not parts:
+    longer = [rows for rows in line if rows.stop - rows.start > 4 * _LAGS]
+    if not longer:
         return False
-    past = np.vstack([np.hstack([_lagged(f), _lagged(e)]) for f, e in parts])
-    now, noise = (np.concatenate([p[k][_LAGS:] for p in parts]) for k in (0, 1))
-    predicted = past @ np.linalg.lstsq(past, now, rcond=None)[0]
-    rest = now - predicted
-    powers = float(predicted @ predicted), float(rest @ rest)
+    past = np.vstack([np.hstack([_lagged(signal[rows]), _lagged(seen.errors[rows])]) for rows in longer])
+    at = np.concatenate([np.arange(rows.start + _LAGS, rows.stop) for rows in longer])
+    predicted = past @ np.linalg.lstsq(past, signal[at], rcond=None)[0]
+    powers = float(predicted @ predicted), float(np.sum((signal[at] - predicted) ** 2))
     if min(powers) < _EACH * sum(powers):
         return False
-    both = np.column_stack([predicted, rest])
-    found = np.linalg.lstsq(both, noise, rcond=None)[0]
-    left = noise - both @ found
-    squares = float(left @ left) / left.size * np.diag(np.linalg.inv(both.T @ both))
+    both = np.zeros((signal.size, 2))
+    both[at] = np.column_stack([predicted, signal[at] - predicted])
+    # Parameters of the model may have taken up a part of what goes with either.
+    both -= seen.basis @ (seen.basis.T @ both)
+    found = np.linalg.lstsq(both, seen.errors, rcond=None)[0]
+    left = seen.errors - both @ found
+    covariance = float(left @ left) / left.size * np.linalg.inv(both.T @ both)
     # A term has one coefficient for both parts, noise that is fed back none for the first.
-    of_term, of_noise = (found[0] - found[1]) ** 2 / squares.sum(), found[0] ** 2 / squares[0]
-    return bool(of_term > of_noise + _AHEAD)
+    apart = covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]
+    of_term, of_noise = (found[0] - found[1]) ** 2 / apart, found[0] ** 2 / covariance[0, 0]
+    return bool(of_term > of_noise + _AHEAD and of_noise < _ALONE)
 
 
 def _lagged(x: _Array) -> _Array:

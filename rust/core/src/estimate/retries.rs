@@ -18,9 +18,11 @@ const POOR: f64 = 0.5;
 /// It is one as well where this part of the outputs are explained to less than this, noise apart.
 const MANY: f64 = 0.4;
 const EXPLAINED: f64 = 0.8;
-/// Where residuals are larger than their noise by this factor, in the geometric mean of the outputs, another optimum may match far
-/// better, though a model that lacks something also does so: then only quick ways are tried.
+/// Where residuals are larger than their noise by this factor, in the geometric mean of the outputs, and an output is explained to
+/// less than this part, another optimum may match far better. So it is with a model that lacks something, too: only quick ways are
+/// tried then.
 const LARGE: f64 = 4.0;
+const WELL: f64 = 0.95;
 /// Fewer residuals do not tell their noise.
 const FEW: usize = 20;
 
@@ -207,8 +209,11 @@ impl Fit {
         (number >= FEW && of_motion > 0.0).then(|| 1.0 - (residuals - noise).max(0.0) / of_motion)
     }
 
-    /// Whether residuals are much larger than their white noise.
+    /// Whether residuals are much larger than their white noise, and not small beside the motion.
     fn residuals_are_large(&self) -> bool {
+        if !(0..self.model.outputs.len()).any(|c| self.explained(c).is_some_and(|r| r < WELL)) {
+            return false;
+        }
         let ratio = |c: usize| {
             let Squares { number, residuals, noise, .. } = self.squares(c);
             (number >= FEW && noise > 0.0).then(|| 0.5 * (residuals / noise).max(1.0).ln())

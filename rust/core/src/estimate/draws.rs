@@ -48,10 +48,15 @@ impl<'a> Draws<'a> {
         self.redrawn(at, &shares)
     }
 
+    /// Returns whether the draw of this number moves all parameters.
+    pub fn moves(number: usize) -> bool {
+        number % 3 == 2
+    }
+
     /// Draws other parameters, in one of three ways in turn: some of them anew; most of the undetermined ones anew, which
     /// where they are have no influence, and few others; all of them moved.
     pub fn others(&mut self, number: usize, at: &Values, undetermined: &dyn Fn(&str) -> bool) -> Values {
-        if number % 3 == 2 {
+        if Self::moves(number) {
             return self.moved(at);
         }
         let any = self.free.iter().any(|&i| undetermined(&self.parameters[i].name));

@@ -94,7 +94,12 @@ impl Estimation<'_> {
         let loss = LOSS * injection.values as f64;
         let mut start = search.values.clone();
         for _ in 0..SEARCHES {
-            let Some(mut first) = within.search_from(&start, true, watch)? else { break };
+            let mut found = within.search_from(&start, true, watch)?;
+            if found.is_none() {
+                // Where outputs have a wrong offset, states that are positive are driven below zero; the best end has a better one.
+                found = within.search_from(&search.best(), true, watch)?;
+            }
+            let Some(mut first) = found else { break };
             let mut before = f64::NEG_INFINITY;
             for _ in 0..ROUNDS {
                 first.without = 0;

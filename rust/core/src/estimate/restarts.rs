@@ -14,9 +14,13 @@ use crate::simulate::Method;
 use crate::solver::Status;
 
 /// Restarts in a row that bring no more than this in log-likelihood, before two for each parameter are added; fewer where so many
-/// in a row end at the same optimum, which then is hardly one of many.
+/// in a row from parameters of which some are drawn anew end at the same optimum, which then is hardly one of many; and so many
+/// times as many where an output is matched worse than by a constant, which hardly is the best that there is.
 const RESTARTS: usize = 20;
 const RETURNS: usize = 8;
+const UNEXPLAINED: usize = 3;
+/// Restarts in a row without a gain after which output injection is tried.
+const BEFORE_INJECTION: usize = 20;
 const GAIN: f64 = 1e-3;
 /// Ends of runs that differ by less than this are the same optimum.
 const SAME: f64 = 0.1;
@@ -29,8 +33,8 @@ impl Estimation<'_> {
     ///
     /// It is an iterated local search (Lourenço, Martin and Stützle 2003): a restart begins at the best end so far, with some
     /// of the parameters drawn anew. It ends after so many restarts in a row without a gain: by default twenty, and two for
-    /// each parameter, or fewer that all return to the best end ([`Self::enough_returns`]). Where the model cannot be
-    /// simulated at the starting values, parameters are sought where it can. Where the best end leaves most of a densely
+    /// each parameter, or fewer that all return to the best end ([`Self::enough`]). Where the model cannot be
+    /// simulated at the starting values, parameters are sought where it can. Where the best end leaves much of a densely
     /// sampled output unexplained, a path of estimates with output injection is tried once, and restarts go on from its end.
     /// None where there are no parameters at which the model can be simulated.
     pub(super) fn search_restarts(&self, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
@@ -41,16 +45,17 @@ impl Estimation<'_> {
         let Some(mut search) = self.search_from(&values, restarts > 0, watch)? else { return Ok(None) };
         let mut injection = if restarts > 0 { self.injection() } else { None };
         loop {
-            let enough = self.enough_returns(&search.fit);
-            let goes_on = search.without < restarts && search.returns < enough;
+            let (most, returns) = self.enough(restarts, &search.fit);
+            let goes_on = search.without < most && search.returns < returns;
             if search.is_stopped() || !goes_on && injection.is_none() {
                 break;
             }
-            if goes_on {
+            // Not before: a search that still gains has not failed.
+            let is_due = injection.is_some() && (!goes_on || search.without >= BEFORE_INJECTION);
+            if !is_due {
                 self.restart(&mut search, watch)?;
                 continue;
             }
-            // Not before: a search that is not at its end has not failed.
             let unexplained = |injection: &Injection| injection.may_improve(&search.fit);
             if let Some(injection) = injection.take().filter(unexplained) {
                 self.follow_injection(&injection, &mut search, watch)?;
@@ -140,6 +145,8 @@ impl Estimation<'_> {
                 break;
             }
         }
+        // All parameters moved a little lead back from any optimum, and say nothing of others.
+        let counts = !Draws::moves(search.without);
         search.without += 1;
         let before = std::mem::take(&mut search.returns);
         let Some(other) = self.along_the_motion(&others, search.likelihood, accuracy, watch)? else {
@@ -158,18 +165,21 @@ impl Estimation<'_> {
         } else {
             let same = reached > search.likelihood - SAME;
             search.again += usize::from(same);
-            search.returns = if same { before + 1 } else { 0 };
+            search.returns = if same { before + usize::from(counts) } else { 0 };
         }
         Ok(())
     }
 
-    /// Returns how many restarts in a row that return to this end finish a search. Where the model matches an output worse
-    /// than a constant, no number does: a part of the model that has no influence there makes the optimum wide, and restarts
-    /// return for that alone.
-    fn enough_returns(&self, fit: &Fit) -> usize {
+    /// Returns how many restarts in a row without a gain finish a search, and how many that return to this end. Where the model
+    /// matches an output worse than a constant, it goes on for longer, and no number of returns does: a part of the model that has no
+    /// influence there makes the optimum wide, and restarts return for that alone.
+    fn enough(&self, restarts: usize, fit: &Fit) -> (usize, usize) {
+        if self.restarts.is_some() {
+            return (restarts, usize::MAX);
+        }
         let unexplained = |c: usize| fit.r_squared(c).is_some_and(|r| r < 0.0);
         let any = (0..self.model.outputs.len()).any(unexplained);
-        if self.restarts.is_some() || any { usize::MAX } else { RETURNS }
+        if any { (UNEXPLAINED * restarts, usize::MAX) } else { (restarts, RETURNS) }
     }
 
     fn accuracy(&self) -> Accuracy {

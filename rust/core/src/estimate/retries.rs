@@ -15,6 +15,16 @@ const LESS: f64 = 1e-2;
 
 /// Where the coefficient of determination of every output is below this, the optimum is a poor one.
 const POOR: f64 = 0.5;
+/// It is one as well where this part of the outputs are explained to less than this, noise apart.
+const MANY: f64 = 0.4;
+const EXPLAINED: f64 = 0.8;
+/// Where residuals are larger than their noise by this factor, in the geometric mean of the outputs, and an output is explained to
+/// less than this part, another optimum may match far better. So it is with a model that lacks something, too: only quick ways are
+/// tried then.
+const LARGE: f64 = 4.0;
+const WELL: f64 = 0.95;
+/// Fewer residuals do not tell their noise.
+const FEW: usize = 20;
 
 /// Another way to an optimum from the same start.
 #[derive(Clone, Copy)]
@@ -27,6 +37,11 @@ enum Way {
 
 impl Way {
     const ALL: [Way; 4] = [Way::OutputInjection, Way::Regression, Way::ConsistentPaths, Way::ExactHessian];
+
+    /// Whether it takes about as long as a run from the start values.
+    fn is_quick(self) -> bool {
+        matches!(self, Way::Regression | Way::ConsistentPaths)
+    }
 
     fn description(self) -> &'static str {
         match self {
@@ -52,8 +67,11 @@ impl Estimation<'_> {
         }
         let ended = fit.status;
         for way in Way::ALL {
-            if !fit.is_poor() || fit.status.was_stopped() || current().stops() {
+            if fit.status.was_stopped() || current().stops() {
                 break;
+            }
+            if !(fit.is_poor() || way.is_quick() && fit.residuals_are_large()) {
+                continue;
             }
             let Some(mut other) = self.end_of(way, &fit, watch)? else { continue };
             other.iterations += fit.iterations;
@@ -61,7 +79,7 @@ impl Estimation<'_> {
             let better = !other.log_likelihood.is_nan()
                 && (fit.log_likelihood.is_nan() || other.log_likelihood > fit.log_likelihood + LESS);
             if better && (other.status.is_end() || !fit.status.is_end()) {
-                let why = if ended.is_end() { "match no output well" } else { "reach no optimum" };
+                let why = if ended.is_end() { "do not match the outputs well" } else { "reach no optimum" };
                 other.message = format!(
                     "{}; reached after {}, since the iterations from the start values {why}",
                     other.message,
@@ -165,24 +183,69 @@ impl Estimation<'_> {
 }
 
 impl Fit {
-    /// Whether it is at no optimum, or at one at which no output is matched well.
+    /// Whether it is at no optimum, at one whose tolerances were not met, or at one at which no output or few outputs are
+    /// matched well.
     fn is_poor(&self) -> bool {
+        let outputs = || 0..self.model.outputs.len();
+        let unexplained = outputs().filter(|c| self.explained(*c).is_some_and(|r| r < EXPLAINED)).count();
         !self.status.is_end()
-            || (0..self.model.outputs.len()).all(|c| self.r_squared(c).is_none_or(|r| r < POOR))
+            || self.status == Status::Acceptable
+            || outputs().all(|c| self.r_squared(c).is_none_or(|r| r < POOR))
+            || unexplained as f64 >= MANY * outputs().len() as f64
     }
 
     /// The coefficient of determination of an output, about the mean of each record.
     pub(super) fn r_squared(&self, output: usize) -> Option<f64> {
-        let (mut squares, mut about) = (0.0, 0.0);
+        let Squares { residuals, about, .. } = self.squares(output);
+        (about > 0.0).then(|| 1.0 - residuals / about)
+    }
+
+    /// The same without white noise, as the differences of successive residuals tell it; none of few residuals.
+    ///
+    /// An output that is mostly noise is matched well where its residuals are white.
+    fn explained(&self, output: usize) -> Option<f64> {
+        let Squares { number, residuals, about, noise } = self.squares(output);
+        let of_motion = about - noise;
+        (number >= FEW && of_motion > 0.0).then(|| 1.0 - (residuals - noise).max(0.0) / of_motion)
+    }
+
+    /// Whether residuals are much larger than their white noise, and not small beside the motion.
+    fn residuals_are_large(&self) -> bool {
+        if !(0..self.model.outputs.len()).any(|c| self.explained(c).is_some_and(|r| r < WELL)) {
+            return false;
+        }
+        let ratio = |c: usize| {
+            let Squares { number, residuals, noise, .. } = self.squares(c);
+            (number >= FEW && noise > 0.0).then(|| 0.5 * (residuals / noise).max(1.0).ln())
+        };
+        let ratios: Vec<f64> = (0..self.model.outputs.len()).filter_map(ratio).collect();
+        ratios.iter().sum::<f64>() > LARGE.ln() * ratios.len() as f64
+    }
+
+    fn squares(&self, output: usize) -> Squares {
+        let mut sums = Squares { number: 0, residuals: 0.0, about: 0.0, noise: 0.0 };
         for record in &self.records {
             let measured = |(y, r): (&f64, &f64)| Some((y + r, *r)).filter(|m| m.0.is_finite());
             let Record { outputs, residuals, .. } = record;
             let present: Vec<(f64, f64)> =
                 outputs[output].iter().zip(&residuals[output]).filter_map(measured).collect();
             let mean = present.iter().map(|p| p.0).sum::<f64>() / present.len().max(1) as f64;
-            squares += present.iter().map(|p| p.1 * p.1).sum::<f64>();
-            about += present.iter().map(|p| (p.0 - mean) * (p.0 - mean)).sum::<f64>();
+            sums.number += present.len();
+            sums.residuals += present.iter().map(|p| p.1 * p.1).sum::<f64>();
+            sums.about += present.iter().map(|p| (p.0 - mean) * (p.0 - mean)).sum::<f64>();
+            // The variance of a difference of independent values is twice their variance.
+            sums.noise += present.windows(2).map(|w| 0.5 * (w[1].1 - w[0].1).powi(2)).sum::<f64>();
         }
-        (about > 0.0).then(|| 1.0 - squares / about)
+        sums
     }
+}
+
+/// Sums of squares of an output over all records.
+struct Squares {
+    number: usize,
+    residuals: f64,
+    /// About the mean of each record.
+    about: f64,
+    /// Of white noise in the residuals.
+    noise: f64,
 }

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ...residual_noise.whitening import Whitening
 from ..candidates.candidate import Candidate
 from .refit import Refit
 
@@ -18,6 +19,8 @@ __all__ = ["follows_noise"]
 
 _Array = NDArray[np.float64]
 
+# Part of the power of an output's residuals that their past does not predict, from which on they are noise.
+_NOISE = 0.5
 # Samples before, from which the signal of a candidate is predicted; parts of the signal's power that must be predicted,
 # and not, for the two to be told apart.
 _LAGS, _EACH = 10, 1e-4
@@ -36,7 +39,12 @@ def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
     shape = {n: more.fit.parameters[n].value for n in candidate.shape_names}
     signals = [candidate.signals(p, shape) for p in linear.points]
     (signal,) = seen.filter(linear.answers(candidate.place, signals))
-    line = linear.rows[linear.model.output_names.index(candidate.place.name)]
+    output = linear.model.output_names.index(candidate.place.name)
+    line, filter = linear.rows[output], seen.filter
+    power = float(np.mean(linear.residuals[line[0].start : line[-1].stop] ** 2))
+    # Of an error of the model the past of the residuals predicts most: that is no noise to follow.
+    if isinstance(filter, Whitening) and filter.channels[output].power < _NOISE * power:
+        return False
     longer = [rows for rows in line if rows.stop - rows.start > 4 * _LAGS]
     if not longer:
         return False

@@ -228,10 +228,11 @@ class ModelStructure:
 
     @cached_property
     def factors_of_parameters(self) -> list[tuple[str, Variable]]:
-        """The free parameters, each with a variable that all it multiplies goes with in proportion. Angles and rates
-        are none: there are functions of them about zero."""
+        """The free parameters, each with an input that all it multiplies goes with in proportion, and that is no angle.
+        Of states there are powers and roots."""
         groups = [*self.quantities.values(), *self.dynamics.values()]
-        amounts = [v for v in self.variables if not v.rate and self.model.units.get(v.symbol, "") not in ANGLES]
+        inputs = [v for v in self.variables if v.kind == "input"]
+        amounts = [v for v in inputs if self.model.units.get(v.symbol, "") not in ANGLES]
         found = []
         for name in self.acting:
             slopes = [Expr(e.diff(name)) for e in groups if name in e.symbols]

@@ -1,4 +1,4 @@
-"""How many random starts reach the optimum on the simulated unstable aircraft of `examples/unstable_aircraft.py`.
+"""Count the random starts that reach the optimum on the simulated unstable aircraft of `examples/unstable_aircraft.py`.
 
 All six derivatives start uniformly between -20 and 20. A start succeeds that converges to within 1e-5 of the optimum
 that the published values lead to.

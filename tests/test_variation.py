@@ -1,5 +1,5 @@
-"""What changes in the course of a record: parameters at one time, as by flaps or ice; a mass as fuel is burnt; thrust
-as a battery is drawn."""
+"""Check what changes in the course of a record: parameters at one time, as by flaps or ice; a mass as fuel is burnt;
+thrust as a battery is drawn."""
 
 from __future__ import annotations
 

@@ -319,7 +319,7 @@ class SmoothingStep:
 
 @dataclass(frozen=True)
 class Smoothing:
-    """How kinks and jumps of the state equations were smoothed, in passes with narrower and narrower widths.
+    """Hold how kinks and jumps of the state equations were smoothed, in passes with narrower and narrower widths.
 
     widths  "sign(v) in v'" -> (the width in the last pass, its unit, "" where that is not known).
     steps   the passes, the last the one that the fit holds.

@@ -15,7 +15,7 @@ from ...modelling.model import Model
 from ...sensitivities import Points
 from .candidate import Candidate, Effect, ExtensionBuilder
 from .channel_effects import Scale
-from .scales import of
+from .scales import has_powers, of
 
 __all__ = ["HOW", "EquationScale", "FactorExponent", "FactorLaw", "ParameterLaw", "SaturatingRate"]
 
@@ -23,8 +23,6 @@ _Array = NDArray[np.float64]
 
 # Least and greatest factor by which a rate that depends on a variable may change over a record, and an inertia.
 _FACTOR, _OF_INERTIA = (0.1, 10.0), (0.3, 3.0)
-# Part of its greatest value above which a variable must stay for a power of it.
-_ABOVE = 0.05
 # Change of the exponent of a factor.
 _EXPONENT = (-1.5, 3.0)
 # Half-saturation constants, in parts of the greatest value of the variable: least, greatest, and number in a scan.
@@ -92,7 +90,7 @@ class FactorLaw(Effect):
         """Return the power law."""
         (x,) = self.variables
         low, high = (f(float(f(of(p.values, x, p, "state, input or quantity"))) for p in points) for f in (min, max))
-        return (self._by("power"),) if low > _ABOVE * high and self.scales.centre(x) > 0.0 else ()
+        return (self._by("power"),) if has_powers(low, high) and self.scales.centre(x) > 0.0 else ()
 
     @property
     def otherwise(self) -> Candidate | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -219,28 +219,23 @@ class ModelStructure:
         """The free parameters of the state equations, each with a store that all it multiplies vanishes without: the
         rate of a reaction, of an elimination or of growth with what there is of a substance."""
         stores = [v for v in self.variables if self.is_store(v)]
-        groups = [*self.quantities.values(), *self.dynamics.values()]
-        found = []
-        for name in self.acting:
-            slopes = [Expr(e.diff(name)) for e in groups if name in e.symbols]
-            found += [(name, v) for v in stores if slopes and all(_vanishes_at_zero(s, v.symbol) for s in slopes)]
-        return found
+        return self._factors(stores, _vanishes_at_zero)
 
-    @cached_property
+    @property
     def factors_of_parameters(self) -> list[tuple[str, Variable]]:
         """The free parameters, each with an input that all it multiplies goes with in proportion, and that is no angle.
         Of states there are powers and roots."""
-        groups = [*self.quantities.values(), *self.dynamics.values()]
         inputs = [v for v in self.variables if v.kind == "input"]
         amounts = [v for v in inputs if self.model.units.get(v.symbol, "") not in ANGLES]
+        return self._factors(amounts, lambda e, name: _vanishes_at_zero(e, name) and _is_linear(e, name))
+
+    def _factors(self, among: Sequence[Variable], go_with: Callable[[Expr, str], bool]) -> list[tuple[str, Variable]]:
+        """Return the free parameters, each with a variable that all it multiplies goes with."""
+        groups = [*self.quantities.values(), *self.dynamics.values()]
         found = []
         for name in self.acting:
             slopes = [Expr(e.diff(name)) for e in groups if name in e.symbols]
-            found += [
-                (name, v)
-                for v in amounts
-                if slopes and all(_vanishes_at_zero(s, v.symbol) and _is_linear(s, v.symbol) for s in slopes)
-            ]
+            found += [(name, v) for v in among if slopes and all(go_with(s, v.symbol) for s in slopes)]
         return found
 
     def force_on(self, speed: str) -> Place | None:

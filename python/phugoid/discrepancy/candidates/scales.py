@@ -187,16 +187,26 @@ class Scales:
 
     def stays_positive(self, name: str) -> bool:
         """Tell whether a variable stays well above zero, so that any power of it is defined."""
-        return name not in self.low or self.low[name] > _ABOVE * self.high[name]
+        return name not in self.low or has_powers(self.low[name], self.high[name])
 
     def is_positive(self, name: str) -> bool:
         """Tell whether a variable is above zero but for little, as far as is known."""
         return name not in self.low or (self.low[name] + self.high[name] > 0.0 and not self.crosses(name))
 
 
+def has_powers(low: float, high: float) -> bool:
+    """Tell whether values between two stay well above zero, so that any power of them is defined."""
+    return low > _ABOVE * high
+
+
 # Part of the integral of an input's size that it adds up to, from which on it is an amount that is used; and the part
 # of it by which that departs from a straight line, below which it says no more than the time does.
 _ADDS_UP, _BENT = 0.5, 0.03
+
+
+def integral(t: _Array, u: _Array) -> _Array:
+    """Return (n,) the integral of u since the first of the (n,) times, by the trapezoidal rule."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (u[1:] + u[:-1]) * np.diff(t))])
 
 
 def largest_integral(name: str, points: Sequence[Points]) -> float:
@@ -205,11 +215,10 @@ def largest_integral(name: str, points: Sequence[Points]) -> float:
     largest, size, bent = 0.0, 0.0, 0.0
     for p in points:
         u = p.values[name]
-        steps = np.diff(p.t)
-        z = np.concatenate([[0.0], np.cumsum(0.5 * (u[1:] + u[:-1]) * steps)])
+        z = integral(p.t, u)
         if abs(z[-1]) >= abs(largest):
             largest = float(z[-1])
-            size = float(np.sum(0.5 * (np.abs(u[1:]) + np.abs(u[:-1])) * steps))
+            size = float(integral(p.t, np.abs(u))[-1])
             bent = float(np.max(np.abs(z - z[-1] * (p.t - p.t[0]) / (p.t[-1] - p.t[0]))))
     if abs(largest) <= _ADDS_UP * size or bent < _BENT * abs(largest):
         return 0.0

@@ -15,7 +15,7 @@ from ...functions import smooth_step
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
 from .candidate import Effect, ExtensionBuilder
-from .scales import evaluated, of
+from .scales import evaluated, integral, of
 
 __all__ = ["CommonJump", "FallingMass", "Jump", "ParameterDrift", "ParameterWithIntegral"]
 
@@ -59,8 +59,7 @@ class _WithIntegral(Effect):
     def _integral(self, points: Points) -> _Array:
         (name,) = self.variables
         u = of(points.values, name, points, "input")
-        sums = np.cumsum(0.5 * (u[1:] + u[:-1]) * np.diff(points.t))
-        return np.concatenate([[0.0], sums]) / self.scales.integrals.get(name, 1.0)
+        return integral(points.t, u) / self.scales.integrals.get(name, 1.0)
 
     def paths(self, points: Points, start: Mapping[str, float]) -> Mapping[str, _Array]:
         return {f"integral_{self.variables[0]}": self._integral(points)}
@@ -142,18 +141,27 @@ class Jump(Effect):
     def _width(self) -> float:
         return _WIDE * self.scales.interval
 
+    @property
+    def _changed(self) -> tuple[str, ...]:
+        """Names of what changes, in the order of the coefficients."""
+        return (self.place.name,)
+
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         late = (points.t - shape[self.shape_names[0]]) / self._width
         return (0.5 * (1.0 + np.tanh(late)))[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
-        d = extension.parameter(self.coefficients[0], unit=model.units.get(self.place.name, ""))
-        jump = d * self._step(extension)
-        if self.place.kind == "output":
-            extension.add(self.place, jump)
-        else:
-            extension.replace_parameter(self.place.name, Expr.symbol(self.place.name) + jump)
+        sizes = [
+            extension.parameter(c, unit=model.units.get(name, ""))
+            for c, name in zip(self.coefficients, self._changed, strict=True)
+        ]
+        step = self._step(extension)
+        for name, size in zip(self._changed, sizes, strict=True):
+            if self.place.kind == "output":
+                extension.add(self.place, size * step)
+            else:
+                extension.replace_parameter(name, Expr.symbol(name) + size * step)
         return extension.model()
 
     def _step(self, extension: ExtensionBuilder) -> Expr:
@@ -166,7 +174,8 @@ class Jump(Effect):
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         times = [shape[self.shape_names[0]] for shape in self.shapes]
-        return {self.coefficients[0]: (-np.inf, np.inf), self.shape_names[0]: (min(times), max(times))}
+        sizes = dict.fromkeys(self.coefficients, (-np.inf, np.inf))
+        return {**sizes, self.shape_names[0]: (min(times), max(times))}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -175,6 +184,10 @@ class CommonJump(Jump):
     the coefficients are the changes, in the same order."""
 
     changed: tuple[str, ...] = ()
+
+    @property
+    def _changed(self) -> tuple[str, ...]:
+        return self.changed
 
     @staticmethod
     def of(jumps: Sequence[Jump]) -> CommonJump:
@@ -202,17 +215,3 @@ class CommonJump(Jump):
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         return np.repeat(super().signals(points, shape), len(self.changed), axis=0)
-
-    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = ExtensionBuilder(model, self, start)
-        changes = [
-            extension.parameter(c, unit=model.units.get(name, ""))
-            for c, name in zip(self.coefficients, self.changed, strict=True)
-        ]
-        step = self._step(extension)
-        for name, change in zip(self.changed, changes, strict=True):
-            extension.replace_parameter(name, Expr.symbol(name) + change * step)
-        return extension.model()
-
-    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        return {**super().physical(points), **dict.fromkeys(self.coefficients, (-np.inf, np.inf))}

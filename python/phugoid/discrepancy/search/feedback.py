@@ -41,9 +41,10 @@ def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
     (signal,) = seen.filter(linear.answers(candidate.place, signals))
     output = linear.model.output_names.index(candidate.place.name)
     line, filter = linear.rows[output], seen.filter
+    assert isinstance(filter, Whitening)  # channel by channel
     power = float(np.mean(linear.residuals[line[0].start : line[-1].stop] ** 2))
     # Of an error of the model the past of the residuals predicts most: that is no noise to follow.
-    if isinstance(filter, Whitening) and filter.channels[output].power < _NOISE * power:
+    if filter.channels[output].power < _NOISE * power:
         return False
     longer = [rows for rows in line if rows.stop - rows.start > 4 * _LAGS]
     if not longer:

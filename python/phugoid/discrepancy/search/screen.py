@@ -229,7 +229,7 @@ class Screen:
         seen = statistics.seen
         by_time: dict[float, list[tuple[Jump, _Array]]] = {}
         for i, (c, shape) in enumerate(scan.effects):
-            if isinstance(c, Jump) and c.place.kind == "parameter" and not isinstance(c, CommonJump):
+            if isinstance(c, Jump) and c.place.kind == "parameter":
                 (time,) = shape.values()
                 by_time.setdefault(time, []).append((c, scan.basis(statistics, i)[:, 0]))
         best: tuple[float, float, list[Jump]] = 0.0, 0.0, []

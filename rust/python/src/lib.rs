@@ -8,6 +8,7 @@ mod expr;
 mod filter;
 mod fit;
 mod interrupt;
+mod memory;
 mod model;
 mod newton;
 mod noise;
@@ -37,6 +38,10 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<newton::PySolution>()?;
     m.add_class::<whitening::PyWhitening>()?;
     m.add_function(wrap_pyfunction!(whitening::burg, m)?)?;
+    m.add_function(wrap_pyfunction!(memory::play, m)?)?;
+    m.add_function(wrap_pyfunction!(memory::rate_limited, m)?)?;
+    m.add_function(wrap_pyfunction!(memory::bouc_wen, m)?)?;
+    m.add_function(wrap_pyfunction!(memory::lagged, m)?)?;
     m.add_function(wrap_pyfunction!(estimation::estimate, m)?)?;
     m.add_function(wrap_pyfunction!(estimation::unlike_noise, m)?)?;
     m.add_function(wrap_pyfunction!(fit::integration_error, m)?)?;

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import _core
 from ..._core import Expr
 from ...functions import smooth_abs
 from ...modelling.model import Model
@@ -21,7 +22,6 @@ from .scales import (
     evaluated,
     lag_bounds,
     lag_grid,
-    lagged,
     late,
     late_smooth,
     longest_delay,
@@ -92,7 +92,7 @@ class Lag(Effect):
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         it = channel(self, points)
-        return (lagged(points.t, it, shape[self.shape_names[0]]) - it)[np.newaxis]
+        return (_core.lagged(points.t, it, shape[self.shape_names[0]]) - it)[np.newaxis]
 
     def follower(self, extension: ExtensionBuilder, name: str, it: Expr) -> Expr:
         """Declare tau and the state that follows."""

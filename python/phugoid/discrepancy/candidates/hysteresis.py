@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import _core
 from ..._core import Expr
 from ...functions import exp, smooth_abs, smooth_sign
 from ...modelling.model import Model
@@ -56,28 +57,10 @@ class Hysteresis(Effect):
     def grid(self) -> Iterable[float]:
         return self.scales.span(self.variables[0]) * np.array([0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.6])
 
-    def path(self, x: _Array, size: float, turn: float = _SHARP) -> _Array:
-        """Return z (n,) along the motion, exact for one that turns at no other than its points."""
-        onward, back = 0.5 * (1.0 + turn), 0.5 * (1.0 - turn)
-        z, now = np.empty(x.size), 0.0
-        for k, step in enumerate((np.diff(x, prepend=x[0]) / size).tolist()):
-            side = 1.0 if step > 0.0 else -1.0
-            left = abs(step)
-            if now * side < 0.0:  # it unloads: |z| decreases at the rate 1 + back |z|
-                whole = float(np.log1p(back * -now * side)) / back if back else -now * side
-                part = min(left, whole)
-                size_left = (1.0 + back * -now * side) * float(np.exp(-back * part)) - 1.0 if back else whole - part
-                now, left = -side * max(size_left / back if back else size_left, 0.0), left - part
-            if left:  # |z| increases at the rate 1 - onward |z|
-                growth = -float(np.expm1(-onward * left)) / onward if onward else left
-                now = side * (abs(now) * float(np.exp(-onward * left)) + growth)
-            z[k] = now
-        return z
-
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         x = of(points.values, self.variables[0], points, "state")
         size, turn = self.shape_names
-        return self.path(x, shape[size], shape.get(turn, _SHARP))[np.newaxis]
+        return _core.bouc_wen(x, shape[size], shape.get(turn, _SHARP))[np.newaxis]
 
     @property
     def _state(self) -> str:
@@ -86,7 +69,7 @@ class Hysteresis(Effect):
     def paths(self, points: Points, start: Mapping[str, float]) -> Mapping[str, _Array]:
         size, turn = self.shape_names
         x = of(points.values, self.variables[0], points, "state")
-        return {self._state: self.path(x, start[size], start.get(turn, _SHARP))} if size in start else {}
+        return {self._state: _core.bouc_wen(x, start[size], start.get(turn, _SHARP))} if size in start else {}
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)

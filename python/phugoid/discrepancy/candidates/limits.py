@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import _core
 from ..._core import Expr
 from ...functions import smooth_abs, smooth_step, tanh
 from ...modelling.model import Model
@@ -429,11 +430,7 @@ class Backlash(_Follower):
         return 0.5 * self._span * np.concatenate([finer, parts])
 
     def path(self, t: _Array, u: _Array, size: float) -> _Array:
-        z, now = np.empty(u.size), float(u[0])
-        for k, (low, high) in enumerate(zip((u - size).tolist(), (u + size).tolist(), strict=True)):
-            now = min(max(now, low), high)
-            z[k] = now
-        return z
+        return _core.play(u, size)
 
     def slope(self, error: Expr, size: Expr, first: float) -> Expr:
         # Within the play nothing creeps but for exponentially little: records are many time constants long.
@@ -462,12 +459,7 @@ class RateLimit(_Follower):
         return self.scales.span(self.place.name) / np.geomspace(quick, max(slow, 2.0 * quick), 12)
 
     def path(self, t: _Array, u: _Array, size: float) -> _Array:
-        z, now = np.empty(u.size), float(u[0])
-        most = size * np.diff(t, prepend=t[0])
-        for k, (target, step) in enumerate(zip(u.tolist(), most.tolist(), strict=True)):
-            now += min(max(target - now, -step), step)
-            z[k] = now
-        return z
+        return _core.rate_limited(t, u, size)
 
     def slope(self, error: Expr, size: Expr, first: float) -> Expr:
         return Expr(size * tanh(error / (size * self._tau)))

@@ -23,7 +23,6 @@ __all__ = [
     "frequency_grid",
     "lag_bounds",
     "lag_grid",
-    "lagged",
     "late",
     "late_smooth",
     "levels_of",
@@ -318,24 +317,6 @@ def evaluated(e: Expr, points: Points) -> _Array:
     names = [name for name in e.symbols if name != "time"]
     columns = [points.t, *(of(points.values, name, points, "state, input or quantity") for name in names)]
     return np.asarray(CompiledExpressions([e], inputs=names)(np.zeros(0), np.vstack(columns))[0])
-
-
-def lagged(t: _Array, u: _Array, tau: float) -> _Array:
-    """Return (n,) solution z of tau z' + z = u, z = u at first; exact for u linear between the (n,) times, which
-    increase.
-
-    Within an interval z - u + tau u' decays as exp(-t/tau); the recursion is solved as a bidiagonal system.
-    """
-    from scipy.linalg import solve_banded
-
-    x = np.diff(t) / tau
-    decay, share = np.exp(-x), -np.expm1(-x) / x
-    band = np.ones((2, t.size))
-    band[1, :-1] = -decay
-    right = np.empty(t.size)
-    right[0] = u[0]
-    right[1:] = u[1:] - u[:-1] * decay - np.diff(u) * share
-    return np.asarray(solve_banded((1, 0), band, right, overwrite_b=True, check_finite=False))
 
 
 def second_order(t: _Array, u: _Array, w: float, damping: float) -> tuple[_Array, _Array]:

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import _core
 from ..._core import Expr
 from ...functions import Table, cos, exp, sin, smooth_abs, smooth_sign, sqrt
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
 from .candidate import Candidate, Effect, ExtensionBuilder, largest_coefficient, place_range
-from .scales import Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lagged, longest_lag, of
+from .scales import Scales, evaluated, frequency_grid, lag_bounds, lag_grid, longest_lag, of
 
 __all__ = [
     "FORMS",
@@ -302,7 +303,7 @@ class LaggedVariable(Effect):
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         u = of(points.values, self.variables[0], points, "state or input")
-        return lagged(points.t, u, shape[self.shape_names[0]])[np.newaxis]
+        return _core.lagged(points.t, u, shape[self.shape_names[0]])[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)

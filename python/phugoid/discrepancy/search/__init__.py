@@ -267,7 +267,7 @@ class Search:
         """
         at = self._centred(at) if at.candidates else at
         at = self._preferred(at, self._named(at).names)
-        final = self._named(at)
+        at, final = self._simplified(at, self._named(at))
         named = {c.name: c for c in final.candidates}
         explained = {c.name: self.confirmation.explained(at, c) for c in at.candidates if c.name not in named}
         useful = [c for c in at.candidates if (e := explained.get(c.name)) is None or e.part > 0.0]
@@ -357,6 +357,21 @@ class Search:
             if following is None:
                 return at
             at = following
+
+    def _simplified(self, full: Refit, final: Refit) -> tuple[Refit, Refit]:
+        """Return the refits with all terms and with those that are named, with the simplest named ones that explain the
+        data as well: beside minor findings, and beside terms that are needless now, others seemed to explain more."""
+        minor = full.beside(final.candidates)
+        for candidate in final.candidates:
+            below = self._without(final, candidate)
+            simple = final if below is None else self.confirmation.simplest(below, final, candidate)
+            if simple is not final:
+                final = simple
+                both = self.cache.refit([*final.candidates, *minor], final.fit)
+                both = None if both is None else self._pruned(both)
+                full = both if both is not None and {*final.names} <= {*both.names} else final
+                minor = full.beside(final.candidates)
+        return full, final
 
     def _without(self, at: Refit, candidate: Candidate) -> Refit | None:
         """Return the refit without a candidate."""

@@ -34,6 +34,8 @@ class RefittingSettings:
     alike   the same, of those whose effect is nearly the same.
     apart   estimates with a correlation below this are taken as independent.
     rounds  replacements at most.
+    simple  constants and linear terms, fitted whatever they gain to first order, that are then weighed: what leaves
+            least.
     sure    standard errors that each of several parameters must change by that change at one time.
     """
 
@@ -41,6 +43,7 @@ class RefittingSettings:
     alike: int = 3
     apart: float = 0.3
     rounds: int = 4
+    simple: int = 12
     sure: float = 3.0
 
 
@@ -54,8 +57,10 @@ class Refitting:
         """Return refits with one more candidate, of those that a screen proposes, ``times`` as many as usual, or of the
         simple ones."""
         chosen = self._screen.simple(at) if simple else self._screen.shortlist(at, times)
-        refits = self._cache.refits([[*at.candidates, c] for c in chosen], at.fit)
+        refits = self._cache.refits([[*at.candidates, c] for c in chosen], at.fit, weighed=not simple)
         found = [self._with_sure_changes(t) for t in refits if t is not None]
+        if simple:  # far from the fit what explains the misfit shows in the residuals themselves
+            found = sorted(found, key=lambda t: -t.fit.log_likelihood)[: self.settings.simple]
         return [t for t in found if self._assessment.is_admissible(at, t)]
 
     def _with_sure_changes(self, at: Refit) -> Refit:
@@ -238,8 +243,8 @@ class Confirmation:
                 continue
             evidence = assess.weigh(below, settled, new[0])
             if evidence.accepted:
-                found = self._simplest(below, settled, new[0])
-                if self._is_progress(current, found):
+                found = self.simplest(below, settled, new[0])
+                if self._is_progress(current, found) and self._is_credible(current, found):
                     self.evidence |= dict.fromkeys((c.name for c in found.beside(current.candidates)), evidence)
                     return found, None
                 continue
@@ -269,6 +274,14 @@ class Confirmation:
             return True
         return assess.explains_what_is_left(current, found)
 
+    def _is_credible(self, current: Refit, found: Refit) -> bool:
+        """Tell whether the new terms of a refit are within what is physical, or explain more than a minor finding
+        does: in what others leave, little is explained best by terms that no vehicle has."""
+        if all(is_physical(found, c) for c in found.beside(current.candidates)):
+            return True
+        explained = self._assessment.explained(current, found)
+        return explained is None or explained.part > self._assessment.settings.minor
+
     @staticmethod
     def _is_plainer(current: Refit, found: Refit) -> bool:
         """Tell whether the terms that a refit has instead of those of another are plainer, with no more unknowns."""
@@ -284,7 +297,7 @@ class Confirmation:
         best = max(parts, key=lambda t: parts[t])
         return {t.names for t in tries if t not in parts or self._assessment.is_worse(current, t, best)}
 
-    def _simplest(self, below: Refit, at: Refit, candidate: Candidate) -> Refit:
+    def simplest(self, below: Refit, at: Refit, candidate: Candidate) -> Refit:
         """Return a refit with the simplest term in place of a candidate that explains the data as well."""
         others, assess, rank = below.candidates, self._assessment, complexity(candidate)
         model = self._cache.base.fit.model

@@ -43,8 +43,9 @@ __all__ = [
 ]
 
 # A refit goes on from a fit nearby: one that needs more goes nowhere. What a scan elsewhere proposed may be farther,
-# and so may a term without a shape, such as strong friction, whose iterations are quick.
-_ITERATIONS, _PATIENT, _FROM_MEASURED = 40, 150, 250
+# and so may a term without a shape, such as strong friction, whose iterations are quick. With 200 and more the solver
+# would try other ways to the optimum as well.
+_ITERATIONS, _PATIENT, _FROM_MEASURED = 40, 150, 199
 _SOLVER = Newton(max_iterations=_ITERATIONS)
 # In s and in times of the base fit: where its iterations take so long, the mesh is refined again and again.
 _SECONDS, _TIMES = 30.0, 20.0

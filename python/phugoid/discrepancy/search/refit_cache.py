@@ -27,7 +27,8 @@ _Array = NDArray[np.float64]
 
 # Parts of a start at which candidates begin, too, that may end at several optima: where they explain this part of the
 # power of the base's residuals or more to first order, for small effects are nearly linear.
-_STARTS, _LARGE = (0.4, 1.6, 0.25, 0.65), 0.1
+# Where it is so evident, they begin at all of them, be the first ends alike.
+_STARTS, _LARGE, _EVIDENT = (0.4, 1.6, 0.25, 0.65), 0.1, 0.3
 # Part of an output's variance that a fit leaves with which next to nothing about it is true.
 _USELESS = 0.5
 # Two ends at the likeliest optimum so far, alike to this in log-likelihood, or so many starts that come to no end,
@@ -98,8 +99,11 @@ class RefitCache:
         """Return the refit of a set."""
         return self.refits([candidates], near)[0]
 
-    def refits(self, sets: Sequence[Sequence[Candidate]], near: FitResult | None = None) -> list[Refit | None]:
-        """Return the refits of several sets, side by side."""
+    def refits(
+        self, sets: Sequence[Sequence[Candidate]], near: FitResult | None = None, weighed: bool = True
+    ) -> list[Refit | None]:
+        """Return the refits of several sets, side by side; ``weighed``: with the likelihoods of each with coloured
+        noise, which are else worked out where they are asked for."""
         check_time()
         keys = [frozenset(c.name for c in candidates) for candidates in sets]
         new = {key: candidates for key, candidates in zip(keys, sets, strict=True) if key not in self._refits}
@@ -121,7 +125,7 @@ class RefitCache:
             try:
                 if found is not None and candidates and is_limit(candidates[-1]):
                     found = self.about_own_centre(found, candidates[-1], _CLEARLY, found.own.filter)
-                _ = found and found.merit  # here, for it takes as long
+                _ = weighed and found and found.merit  # here, for it takes as long
             except EvaluationError:  # it cannot be linearised: nothing is known of its parameters
                 return None
             return found
@@ -258,8 +262,11 @@ class RefitCache:
             ends.append(refit(self.base.fit, candidates, {**starts, **(elsewhere or {})}, near, measured=True))
         for c in new:
             name = c.shape_names[0]
+            # Ends from one and the same value, on two paths, say nothing of other values.
+            begun_here = max((r for r in ends if r is not None), key=lambda r: r.fit.log_likelihood, default=None)
+            ends = [begun_here]
             for factor in _STARTS if name in starts else ():
-                if _enough(ends):
+                if _enough(ends, often=shares[c.name] > _EVIDENT):
                     break
                 ends.append(refit(self.base.fit, candidates, {**starts, name: factor * starts[name]}, near, points))
         begun = (near or self.base.fit).log_likelihood
@@ -422,7 +429,8 @@ def _unexplained(fit: FitResult, names: Sequence[str]) -> list[str]:
     return found
 
 
-def _enough(ends: Sequence[Refit | None]) -> bool:
-    """Tell whether refits from several starts have shown what there is to find."""
+def _enough(ends: Sequence[Refit | None], often: bool) -> bool:
+    """Tell whether refits from several starts have shown what there is to find; ``often``: though some are alike."""
     found = sorted((r.fit.log_likelihood for r in ends if r is not None), reverse=True)
-    return (len(found) > 1 and found[0] - found[1] < _SAME) or (not found and len(ends) >= _FAILED)
+    alike = len(found) > 1 and found[0] - found[1] < _SAME
+    return (alike and not often) or (not found and len(ends) >= _FAILED)

@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import _core
 from ...frozen_model import freed_by_default
 from ...sensitivities import Place, Points
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.whitened import Whitened
 from ..candidates.candidate import Candidate, Effect, is_function
-from ..candidates.scales import lagged
 from . import Search, SearchResult
 from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of, powers_of
 from .free_run import LEAST, Explained, Misfitting, Simulated
@@ -46,6 +46,8 @@ class RemainderSettings:
     functions  unknown functions that are fitted, the likeliest to first order.
     motion     correlation with what neighbours in the motion have, beyond which a time history is no random one.
     predicted  part of its variance that the inputs predict in time left out, beyond which it is none, either.
+    elsewhere  part of the power of residuals on data held out that their past predicts, beyond which they are no noise,
+               and an event in the records is not what the model lacks.
     beside_drift  part of the misfit that a disturbance must explain beside a parameter that drifts.
     bursts     part of the squares of a time history in a tenth of the time, beyond which it is no stationary random
                one: of normal values that is 0.44.
@@ -62,6 +64,7 @@ class RemainderSettings:
     motion: float = 0.35
     predicted: float = 0.35
     bursts: float = 0.8
+    elsewhere: float = 0.5
     beside_drift: float = 0.25
 
 
@@ -286,6 +289,10 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         noise = option.noise
         event, sure = single_event(search.cache, option.at, noise, s.structure, s.margin) if noise else (None, False)
         if event is not None:
+            # Of data held out, in which it did not happen, the model leaves noise, unless it is wrong there, too, and
+            # most where it is excited most.
+            if other is not None and is_structured(Refit((), other.fit), s.elsewhere):
+                return None
             return Remainder(event, option.at, gain, held_out)
         if d.kind == "event" and noise is not None and sure:
             d = noise
@@ -412,7 +419,7 @@ def _predicted_by_inputs(linear: Linearised, of: Disturbance) -> float:
     for p, at in _over_records(linear, of):
         duration = float(p.t[-1] - p.t[0])
         taus = np.geomspace(_QUICK * of.step, max(_SLOW * duration, 2.0 * of.step), _LAGS)
-        signals = [z for n in names for z in (p.values[n], *(lagged(p.t, p.values[n], tau) for tau in taus))]
+        signals = [z for n in names for z in (p.values[n], *(_core.lagged(p.t, p.values[n], tau) for tau in taus))]
         columns.append(np.stack([np.ones(at.size), *(np.interp(at, p.t, z) for z in signals)]))
         blocks.append(np.minimum((_BLOCKS * (at - p.t[0]) / duration).astype(int), _BLOCKS - 1))
     x, block, y = np.hstack(columns).T, np.concatenate(blocks), of.values

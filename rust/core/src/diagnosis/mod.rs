@@ -4,6 +4,7 @@ mod burg;
 mod covariance;
 mod forward;
 mod linearisation;
+pub mod memory;
 mod passage;
 mod response;
 mod whitening;

@@ -293,12 +293,22 @@ class Model:
 
     @property
     def units(self) -> dict[str, str]:
-        """Units of states, inputs, parameters and outputs by name, where known; that of ``time`` where it is not s."""
+        """Units of states, inputs, parameters and outputs by name, where known; that of ``time`` where it is not s.
+
+        Where an output has the name of a state, the unit is that of the output, in which it was measured.
+        """
+        of_outputs = {name: unit for name, _, unit, _ in self._core.outputs if unit}
+        return self.variable_units | of_outputs
+
+    @property
+    def variable_units(self) -> dict[str, str]:
+        """Units of what stands in equations: the same, with that of the state where an output has its name."""
         pairs = [*self._core.states, *self._core.inputs]
         pairs += [(name, unit) for name, unit, *_ in self._core.parameters]
-        pairs += [(name, unit) for name, _, unit, _ in self._core.outputs]
         pairs += [("time", str(self._time_unit))] if self._time_unit != SECONDS else []
-        return {name: unit for name, unit in pairs if unit}
+        named = {name: unit for name, unit in pairs if unit}
+        states = {name for name, _ in self._core.states}
+        return named | {name: unit for name, _, unit, _ in self._core.outputs if unit and name not in states | {*named}}
 
     @property
     def equations(self) -> dict[str, Expr]:

@@ -328,7 +328,7 @@ class ExtensionBuilder:
         if of in self.delays.inputs:
             raise ModelError(f"{self.effect.name}: the input is delayed already, by '{self.delays.inputs[of][1]}'")
         name = self._unused(f"{of}_delayed")
-        self._inputs[name] = self.old.units.get(of, "")
+        self._inputs[name] = self.old.variable_units.get(of, "")
         self.delays = self.delays.with_input(name, of, tau)
         return Expr.symbol(name)
 

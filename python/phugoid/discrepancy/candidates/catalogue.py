@@ -91,7 +91,7 @@ class Catalogue:
             yield FactorExponent(title, place, words, "exponent", self.scales, (e,), (), (x.symbol,))
         used = [v for v in self.structure.variables if v.kind == "input" and self.structure.used(v.symbol)]
         # What is used up is an amount: a deflection is none.
-        used = [v for v in used if v not in conditions and model.units.get(v.symbol, "") not in ANGLES]
+        used = [v for v in used if v not in conditions and model.variable_units.get(v.symbol, "") not in ANGLES]
         for place, x in product([p for p in self.structure.places if p.kind == "equation"], used):
             yield self._falling_mass(place, x)
         for name, x in product(self.structure.acting, used):
@@ -135,7 +135,11 @@ class Catalogue:
         model = self.structure.model
         for name, e in self.structure.dynamics.items():
             place = Place("equation", name)
-            if len({*e.symbols}) > 1 and model.units.get(name, "") in LENGTHS and place not in self.structure.places:
+            if (
+                len({*e.symbols}) > 1
+                and model.variable_units.get(name, "") in LENGTHS
+                and place not in self.structure.places
+            ):
                 yield self._term(place, "bias")
 
     def _term(self, place: Place, form: str, *factors: Variable) -> Term:
@@ -280,7 +284,7 @@ class Catalogue:
 
     def _near_the_ground(self, place: Place) -> Iterator[Effect]:
         """Yield what decays with a position, unless that is an angle or the place is what its own rate is."""
-        shown, base, units = self.structure.shown(place), stem(place), self.structure.model.units
+        shown, base, units = self.structure.shown(place), stem(place), self.structure.model.variable_units
         for v in self.structure.variables:
             if v.kind != "state" or not (self.structure.is_position(v) or units.get(v.symbol, "") in LENGTHS):
                 continue
@@ -313,6 +317,7 @@ class Catalogue:
                     (self.names(f"speed_{base}_{v.shown}"),),
                     variables=(v.symbol,),
                     beside="" if self.structure.has_friction(place, v.symbol) else f"{shown}:sign({v.shown})",
+                    direction=self.structure.direction(place, v.symbol),
                 )
             moves = v.rate or self.structure.moves(v.symbol)
             if v.kind == "state" and v.symbol in self.structure.dynamics and not moves:
@@ -362,13 +367,12 @@ class Catalogue:
             (self.names(f"{base}_sin_{shown}"), self.names(f"{base}_cos_{shown}")),
             (self.names(f"wave_number_{base}_{shown}"),),
             variables=(variable.symbol,),
-            turn=TURN.get(self.structure.model.units.get(variable.symbol, ""), 0.0),
+            turn=TURN.get(self.structure.model.variable_units.get(variable.symbol, ""), 0.0),
         )
 
     def _limits(self) -> Iterator[Effect]:
         """States that go no further: positions meet a stop, stores are full."""
-        places = {place.name for place in self.structure.places if place.kind == "equation"}
-        units = self.structure.model.units
+        units = self.structure.model.variable_units
         for v in self.structure.variables:
             x = v.symbol
             if v.kind != "state" or x not in self.structure.dynamics or v.rate or self.structure.turns_freely(x):
@@ -385,7 +389,7 @@ class Catalogue:
                 yield EndStop(
                     f"{x}:limit", at, words, "limit", self.scales, (stiffness,), shape, variables=(x,), speed=speed
                 )
-            elif x in places and units.get(x, "") not in ANGLES and not self.structure.moves(x):
+            elif self.structure.is_modelled(x) and units.get(x, "") not in ANGLES and not self.structure.moves(x):
                 words = f"{x} stops at a limit (overflow, a store that is full or empty)"
                 at = Place("equation", x)
                 yield StateLimit(f"{x}:limit", at, words, "limit", self.scales, (), (limit,), variables=(x,))

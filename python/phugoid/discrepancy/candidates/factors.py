@@ -209,7 +209,7 @@ class SaturatingRate(Effect):
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
-        (name,), (shape,), units = self.variables, self.shape_names, model.units
+        (name,), (shape,), units = self.variables, self.shape_names, model.variable_units
         d = extension.parameter(self.coefficients[0], unit=units.get(self.place.name, ""))
         bounds = tuple(f * self._peak for f in _HALF)
         half = extension.parameter(shape, self.shapes[_HALVES // 2][shape], bounds=bounds, unit=units.get(name, ""))

@@ -74,7 +74,7 @@ class Hysteresis(Effect):
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
         (name, turn), (x,) = self.shape_names, self.variables
-        span, unit = self.scales.span(x), model.units.get(x, "")
+        span, unit = self.scales.span(x), model.variable_units.get(x, "")
         c = extension.parameter(self.coefficients[0])
         bounds = (1e-3 * span, 10.0 * span)
         d = extension.parameter(name, self.shapes[2][name], bounds=bounds, unit=unit, transform="log")
@@ -97,7 +97,12 @@ class Hysteresis(Effect):
 @dataclass(frozen=True, eq=False, repr=False)
 class Stribeck(Effect):
     """Dry friction that is larger at rest: c sign(v) exp(-(v / v_s)^2), beside Coulomb friction (Armstrong-Helouvry,
-    Dupont and Canudas de Wit 1994, eq. 5): sought where that is there, for a wide one is nearly the same."""
+    Dupont and Canudas de Wit 1994, eq. 5): sought where that is there, for a wide one is nearly the same.
+
+    ``direction``: the sign with which the place adds to the rate of v, 0 where it is not known.
+    """
+
+    direction: int = 1
 
     @property
     def several_starts(self) -> bool:
@@ -126,7 +131,11 @@ class Stribeck(Effect):
         peak = self.scales.peak(v)
         c = extension.parameter(self.coefficients[0])
         size = extension.parameter(
-            name, self.shapes[2][name], bounds=(2e-3 * peak, 5.0 * peak), unit=model.units.get(v, ""), transform="log"
+            name,
+            self.shapes[2][name],
+            bounds=(2e-3 * peak, 5.0 * peak),
+            unit=model.variable_units.get(v, ""),
+            transform="log",
         )
         extension.add(self.place, c * self._shape(size))
         return extension.model()
@@ -135,7 +144,8 @@ class Stribeck(Effect):
         largest = largest_coefficient(self, self.shapes[2], points)
         peak = self.scales.peak(self.variables[0])
         # Friction is no less at rest than in motion, and beyond half the greatest speed it is no effect of low ones.
-        return {self.coefficients[0]: (-largest, 0.0), self.shape_names[0]: (0.005 * peak, 0.5 * peak)}
+        least, most = (0.0 if self.direction < 0 else -largest), (0.0 if self.direction > 0 else largest)
+        return {self.coefficients[0]: (least, most), self.shape_names[0]: (0.005 * peak, 0.5 * peak)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -88,7 +88,7 @@ class _StateEffect(Effect):
         name = self.shape_names[0]
         low, high = self._span()
         first = float(extension.start.get(name, self.shapes[0][name]))
-        unit = extension.old.units.get(self._x, "")
+        unit = extension.old.variable_units.get(self._x, "")
         limit = extension.parameter(name, first, bounds=self._bounds(low, high), unit=unit)
         return limit, self._side(first)
 
@@ -205,7 +205,7 @@ class LimitedForce(Effect):
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
-        peak, unit = self._peak, model.units.get(self.place.name, "") if self.place.kind == "quantity" else ""
+        peak, unit = self._peak, model.variable_units.get(self.place.name, "") if self.place.kind == "quantity" else ""
         limit = extension.parameter(self.shape_names[0], 0.9 * peak, bounds=(0.0, 2.0 * peak), unit=unit)
         force = extension.at(self.place)
         extension.add(self.place, cut_off(force, limit, self._width) - force)

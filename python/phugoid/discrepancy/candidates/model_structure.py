@@ -90,7 +90,7 @@ class ModelStructure:
             n: e for n, e in self.dynamics.items() if not {*e.symbols}.intersection(self._parameters | derived)
         }
         rates = {name for name in model.state_names if self._is_rate(name)}
-        units = model.units
+        units = model.variable_units
         self.variables = [
             Variable(
                 name,
@@ -161,13 +161,13 @@ class ModelStructure:
     def is_store(self, variable: Variable) -> bool:
         """Tell whether a variable may be what a store holds, as a level or a pressure: a state that is no angle, no
         rate and no position, which is a speed's integral."""
-        unit = self.model.units.get(variable.symbol, "")
+        unit = self.model.variable_units.get(variable.symbol, "")
         moves = variable.rate or self.moves(variable.symbol) or variable.symbol in self._exact
         return variable.kind == "state" and not moves and unit not in ANGLES
 
     def moves(self, name: str) -> bool:
         """Tell whether the unit of a variable is one per unit of the model's time."""
-        return self.model.time_unit.is_rate(self.model.units.get(name, ""))
+        return self.model.time_unit.is_rate(self.model.variable_units.get(name, ""))
 
     @cached_property
     def coordinates(self) -> list[tuple[Variable, Variable]]:
@@ -181,7 +181,7 @@ class ModelStructure:
 
     def is_angle(self, variable: Variable) -> bool:
         """Tell whether a variable is a state that is an angle, such as one of the flow, which turns a vane."""
-        return variable.kind == "state" and self.model.units.get(variable.symbol, "") in ANGLES
+        return variable.kind == "state" and self.model.variable_units.get(variable.symbol, "") in ANGLES
 
     @property
     def acting(self) -> list[str]:
@@ -226,7 +226,7 @@ class ModelStructure:
         """The free parameters, each with an input that all it multiplies goes with in proportion, and that is no angle.
         Of states there are powers and roots."""
         inputs = [v for v in self.variables if v.kind == "input"]
-        amounts = [v for v in inputs if self.model.units.get(v.symbol, "") not in ANGLES]
+        amounts = [v for v in inputs if self.model.variable_units.get(v.symbol, "") not in ANGLES]
         return self._factors(amounts, lambda e, name: _vanishes_at_zero(e, name) and _is_linear(e, name))
 
     def _factors(self, among: Sequence[Variable], go_with: Callable[[Expr, str], bool]) -> list[tuple[str, Variable]]:
@@ -248,6 +248,17 @@ class ModelStructure:
         quantities = [place for place in self.places if place.kind == "quantity" and place.name in e.symbols]
         return next((place for place in quantities if self._increases(Expr(e.diff(place.name)))), None)
 
+    def direction(self, place: Place, speed: str) -> int:
+        """Return the sign of what a place adds to the rate of a speed, 1 or -1; 0 where that is not known. A quantity
+        may be a force or, subtracted, a resistance."""
+        if place == Place("equation", speed):
+            return 1
+        e = self.dynamics.get(speed)
+        if place.kind != "quantity" or e is None or place.name not in e.symbols:
+            return 0
+        slope = Expr(e.diff(place.name))
+        return 1 if self._increases(slope) else -1 if self._increases(Expr(-slope)) else 0
+
     def _increases(self, slope: Expr) -> bool:
         """Tell whether a slope is positive, at random states and inputs if it is not constant."""
         if (constant := slope.constant) is not None:
@@ -259,11 +270,16 @@ class ModelStructure:
         tried = [start | {n: random.uniform(-_RANGE, _RANGE) for n in others} for _ in range(_TRIED)]
         return all(e.evaluate(at) > 0.0 for at in tried)
 
+    def is_modelled(self, name: str) -> bool:
+        """Tell whether parameters stand in a state's equation, itself or in the quantities that stand there: it is not
+        exact, as that of a position is."""
+        return name not in self._exact
+
     def fed_by(self, name: str) -> list[str]:
         """Return the states that an equation of their own with parameters gives, and on which the state acts at once,
         as the flow out of a store does on the next one."""
-        places = {place.name for place in self.places if place.kind == "equation"}
-        full = {x: Expr(e.substitute(self.quantities)) for x, e in self.dynamics.items() if x in places and x != name}
+        others = {x: e for x, e in self.dynamics.items() if self.is_modelled(x) and x != name}
+        full = {x: Expr(e.substitute(self.quantities)) for x, e in others.items()}
         return [x for x, e in full.items() if name in e.symbols]
 
     def turns_freely(self, name: str) -> bool:
@@ -307,7 +323,7 @@ class ModelStructure:
 
     def _is_rate(self, name: str) -> bool:
         """Tell whether a state is an angular rate by its unit, or another state's derivative by exact kinematics."""
-        if self.model.units.get(name, "") in self.model.time_unit.angular_rates:
+        if self.model.variable_units.get(name, "") in self.model.time_unit.angular_rates:
             return True
         slopes = [Expr(e.diff(name)).constant for state, e in self._exact.items() if state != name]
         return any(slope for slope in slopes)

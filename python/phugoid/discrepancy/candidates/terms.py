@@ -315,7 +315,7 @@ class LaggedVariable(Effect):
         options = {**lag_bounds(self.scales, model.time_unit), "transform": "log"}
         tau = extension.parameter(tau_name, self.shapes[len(self.shapes) // 2][tau_name], **options)
         u = Expr.symbol(variable)
-        lag = extension.state(f"{variable}_lag", model.units.get(variable, ""), lambda z: (u - z) / tau, u)
+        lag = extension.state(f"{variable}_lag", model.variable_units.get(variable, ""), lambda z: (u - z) / tau, u)
         extension.add(self.place, c * lag)
         return extension.model()
 
@@ -356,7 +356,11 @@ class Decaying(Effect):
         (variable,), (name,) = self.variables, self.shape_names
         c = extension.parameter(self.coefficients[0])
         span, first = self.scales.span(variable), self.shapes[len(self.shapes) // 2][name]
-        options = {"bounds": tuple(f * span for f in _DECAY), "transform": "log", "unit": model.units.get(variable, "")}
+        options = {
+            "bounds": tuple(f * span for f in _DECAY),
+            "transform": "log",
+            "unit": model.variable_units.get(variable, ""),
+        }
         s = extension.parameter(name, first, **options)
         extension.add(self.place, c * exp(-(Expr.symbol(variable) - self._origin) / s))
         return extension.model()

@@ -38,7 +38,7 @@ class ParameterDrift(Effect):
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
-        d = extension.parameter(self.coefficients[0], unit=model.units.get(self.place.name, ""))
+        d = extension.parameter(self.coefficients[0], unit=model.variable_units.get(self.place.name, ""))
         extension.replace_parameter(
             self.place.name, Expr.symbol(self.place.name) + d * self._share(Expr.symbol("time"))
         )
@@ -81,7 +81,7 @@ class ParameterWithIntegral(_WithIntegral):
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
-        d = extension.parameter(self.coefficients[0], unit=model.units.get(self.place.name, ""))
+        d = extension.parameter(self.coefficients[0], unit=model.variable_units.get(self.place.name, ""))
         changed = Expr.symbol(self.place.name) + d * self._state(extension)
         extension.replace_parameter(self.place.name, changed)
         return extension.model()
@@ -153,7 +153,7 @@ class Jump(Effect):
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
         sizes = [
-            extension.parameter(c, unit=model.units.get(name, ""))
+            extension.parameter(c, unit=model.variable_units.get(name, ""))
             for c, name in zip(self.coefficients, self._changed, strict=True)
         ]
         step = self._step(extension)

@@ -41,8 +41,8 @@ class AssessmentSettings:
     """Set what evidence must be.
 
     false_alarm  probability that anything at all is found where there is nothing.
-    doubtful     factor of a threshold where channels go together: simulated turbulence passes less than one in twenty
-                 times.
+    doubtful     factor of a threshold where channels go together, or measurements are rounded: simulated turbulence
+                 passes less than one in twenty times.
     unphysical   twice the gain in log-likelihood by which a cause outside of what is physical must be ahead.
     held_out     what the gain on held-out data must be above, and ``sure`` the part of its standard deviation.
     clear        a misfit that no candidate explains is reported when twice the gain of the best is this often its
@@ -167,8 +167,9 @@ class Assessment:
 
     def needed(self, more: Refit, candidate: Candidate) -> float:
         """Twice the gain that a candidate must have: its threshold, and more where the noise goes through the vehicle
-        itself, for then its model is no more than an approximation."""
-        return self.threshold(candidate) * (1.0 if more.together is None else self.settings.doubtful)
+        itself or is that of rounding, for then its model is no more than an approximation."""
+        doubtful = more.together is not None or more.is_rounded
+        return self.threshold(candidate) * (self.settings.doubtful if doubtful else 1.0)
 
     def margin(self, base: Refit, more: Refit) -> float:
         """Return how far the gain by the last candidate of a refit is above what it must be."""

@@ -69,7 +69,7 @@ def plausibility(candidate: Candidate, model: Model) -> tuple[int, int, str]:
     Among equals fewer unknowns come first, then the name."""
     place = candidate.place
     angular = model.time_unit.angular_rates
-    rates = [n for n in getattr(candidate, "variables", ()) if model.units.get(n, "") in angular]
+    rates = [n for n in getattr(candidate, "variables", ()) if model.variable_units.get(n, "") in angular]
     family = getattr(candidate, "family", "")
     lever = place.kind == "output" and family in ("linear", "rate") and len(rates) == 1
     lever = lever and not is_late(candidate, model)

@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 import phugoid as ph
 from phugoid import _core
 from phugoid.discrepancy.candidates.library import FAMILIES
-from phugoid.discrepancy.candidates.scales import lagged, late_smooth, trim_of
+from phugoid.discrepancy.candidates.scales import late_smooth, trim_of
 from phugoid.discrepancy.search.refit import Refit, refit
 from phugoid.modelling.declared import Delays, rebuilt
 
@@ -234,7 +234,7 @@ def test_signals_are_what_extensions_add(path: ph.results.Points, library: ph.re
         if "lag" in what:
             (lag,) = {*extended.state_names} - {*m.state_names}
             of = p.outputs[c.place.name] if c.place.kind == "output" else p.values[lag.removesuffix("_lag")]
-            more[lag] = lagged(p.t, of, shape[c.shape_names[0]])
+            more[lag] = _core.lagged(p.t, of, shape[c.shape_names[0]])
         if c.name == "de:delay":
             more["de_delayed"] = np.interp(p.t - shape["tau_de"], p.t, p.values["de"])
             more |= dict.fromkeys(("de_delayed_rate", "de_delayed_bend"), np.zeros(p.n))
@@ -327,7 +327,7 @@ def test_a_lag_is_exact_for_broken_lines() -> None:
             h, slope = t[k + 1] - t[k], (u[k + 1] - u[k]) / (t[k + 1] - t[k])
             numbers.append(u[k + 1] - slope * tau + (numbers[k] - u[k] + slope * tau) * np.exp(-h / tau))
         z[:] = numbers
-        assert lagged(t, u, tau) == pytest.approx(z, abs=1e-9)
+        assert _core.lagged(t, u, tau) == pytest.approx(z, abs=1e-9)
 
 
 def test_a_late_signal_is_interpolated_smoothly() -> None:
@@ -436,7 +436,7 @@ def test_effects_compose_in_the_order_of_their_stages(library: ph.results.Candid
     values = {**TRUTH, **CHAIN_VALUES}
     r = ph.simulate(m, values, empty, initial=first)
     t, centre = empty.t, library["de:lag"].scales.centre("de")  # type: ignore[attr-defined]
-    acting = lagged(t, np.interp(t - 0.15, t, empty.input("de")), 0.2)
+    acting = _core.lagged(t, np.interp(t - 0.15, t, empty.input("de")), 0.2)
     # What the delay bends lies at samples here (0.15 s are three intervals), so the lag is exact.
     assert r.states["de_lag"] == pytest.approx(acting, abs=1e-8)
     acting = np.clip(acting - centre, -0.05, 0.05)
@@ -448,7 +448,7 @@ def test_effects_compose_in_the_order_of_their_stages(library: ph.results.Candid
     smooth = np.gradient(q, t)[2:-2]
     assert Cm[2:-2] == pytest.approx(smooth, abs=0.05 * np.ptp(smooth))
     y = -8.0 * (TRUTH["CL0"] + TRUTH["CLa"] * alpha) + TRUTH["b_az"] + 0.1 * Cm
-    z = lagged(t, y, 0.3)
+    z = _core.lagged(t, y, 0.3)
     assert r.states["az_sensor"] == pytest.approx(
         z + r.states["az_sensor"][0] * np.exp(-t / 0.3) - y[0] * np.exp(-t / 0.3), abs=0.01 * np.ptp(z)
     )

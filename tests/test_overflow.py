@@ -12,6 +12,7 @@ _OUT, _BETWEEN, _IN = 0.055, 0.05, 0.055
 
 
 def _model() -> ph.Model:
+    """Return two tanks, with flows in the equations of the levels."""
     m = ph.Model("tanks")
     upper, lower = m.states("upper lower")
     (u,) = m.inputs("u")
@@ -50,3 +51,27 @@ def test_an_overflow_is_named_with_where_it_goes(part: float) -> None:
     assert named[0].explained > 0.9
     if part:
         assert abs(named[0].parameters["part_of_upper_to_lower"][0] - part) < 0.05
+
+
+def test_a_store_is_full_in_a_model_of_declared_flows_in_the_unit_of_its_level() -> None:
+    m = ph.Model("tanks")
+    upper, lower = m.states(upper="m", lower="m")
+    (u,) = m.inputs("u")
+    between, out, inlet = m.parameters(
+        **{name: ph.Parameter(0.04, bounds=(0.005, 0.5)) for name in ("between", "out", "inlet")}
+    )
+    first, second = m.quantities(first=between * ph.sqrt(upper), second=out * ph.sqrt(lower))
+    m.dynamics(upper=inlet * u - first, lower=first - second)
+    m.outputs(upper=(100.0 * upper, "cm"), lower=(100.0 * lower, "cm"))
+    assert (m.units["upper"], m.variable_units["upper"]) == ("cm", "m")
+
+    def record(seed: int) -> ph.Experiment:
+        e = _record(seed, 0.0)
+        levels = {"upper": 100.0 * e.outputs["z"], "lower": 100.0 * e.outputs["y"]}
+        return ph.Experiment(e.t, e.inputs, levels, interpolation="hold")
+
+    (named,) = (f for f in ph.diagnose(ph.estimate(m, record(1)), validation=record(2)).findings if f.status == "named")
+    assert "upper:limit" in {named.cause, *named.aliases}
+    level = next(iter(named.parameters))
+    assert named.parameters[level][0] == pytest.approx(_LEVEL, rel=0.02)
+    assert named.units[level] == "m"

@@ -269,9 +269,11 @@ class Search:
         at = self._preferred(at, self._named(at).names)
         at, final = self._simplified(at, self._named(at))
         named = {c.name: c for c in final.candidates}
-        explained = {c.name: self.confirmation.explained(at, c) for c in at.candidates if c.name not in named}
-        useful = [c for c in at.candidates if (e := explained.get(c.name)) is None or e.part > 0.0]
-        if len(useful) < len(at.candidates):
+        while True:
+            explained = {c.name: self.confirmation.explained(at, c) for c in at.candidates if c.name not in named}
+            useful = [c for c in at.candidates if (e := explained.get(c.name)) is None or e.part > 0.0]
+            if len(useful) == len(at.candidates):
+                break
             at = self.cache.refit(useful, at.fit) or final
         found = [
             self.confirmation.found(final if c.name in named else at, named.get(c.name, c), c.name in named)

@@ -54,6 +54,7 @@ class AssessmentSettings:
     most         part of such a misfit that free simulation of held-out data must be freed of.
     chance       probability that noise of a validation record passes for a disturbance of a known frequency.
     plainly      times its threshold beyond which a gain is no random walk of a sensor.
+    far          times the RMS of residuals on data held out, of that in the fit, beyond which the model is wrong there.
     moved        what two models differ by on data held out, as a sum of squares in units of the noise, below which
                  these do not tell them from each other: the gain that the truer of them has is half of that.
     """
@@ -71,6 +72,7 @@ class AssessmentSettings:
     most: float = 0.5
     chance: float = 0.05
     plainly: float = 5.0
+    far: float = 3.0
     moved: float = 9.0
 
 
@@ -257,11 +259,20 @@ class Assessment:
             if others is not None and all(c.transferable for c in new):
                 mine = self._cache.on_validation(more, others)
                 found = HeldOut(-np.inf, 0.0, -np.inf) if mine is None else gain_on_other_data(others, mine)
-                if found.moved < self.settings.moved:
+                if found.moved < self.settings.moved and not self._is_wrong_elsewhere(base):
                     self.not_excited |= {c.name for c in new}
                     found = None
             self._on_validation[key] = found
         return self._on_validation[key]
+
+    def _is_wrong_elsewhere(self, at: Refit) -> bool:
+        """Tell whether a model is wrong on the validation records by much more than on those of the fit: what leaves
+        that as it is has not been missed there."""
+        linear = self._cache.on_validation(at)
+        if linear is None or not is_structured(Refit((), linear.fit), self.settings.error):
+            return False
+        before, after = at.rms, self.held_out_rms(at)
+        return any(after[n] > self.settings.far * before[n] for n in after)
 
     def explained(self, base: Refit, more: Refit) -> Explained | None:
         """Return the part of the misfit that a model explains more of than another, in free simulation of held-out

@@ -27,7 +27,8 @@ def _record(seed: int) -> ph.Experiment:
             w += _STEP / _INNER * (_GAIN * commands[k] - _DAMPING * w - _TORQUE)
             angle += _STEP / _INNER * w
     turning = 0.3 * np.round((turning + 0.3 * rng.standard_normal(_SAMPLES)) / 0.3)
-    return ph.Experiment(t, {"u": commands}, {"angle": shown, "turning": turning}, interpolation="hold", name=f"run {seed}")
+    outputs = {"angle": shown, "turning": turning}
+    return ph.Experiment(t, {"u": commands}, outputs, interpolation="hold", name=f"run {seed}")
 
 
 @pytest.mark.parametrize("seed", [10, 20, 30])

@@ -285,6 +285,24 @@ class RandomEffects:
         x = np.log(np.array([variance, *(np.asarray(noise) / self._units**2)]))
         return self._marginal(x, self._evaluated(x))
 
+    def components(self, variance: float, noise: _Array) -> _Array:
+        """Return the independent combinations of the coefficients that the residuals determine, at given variances, in
+        units of their standard deviations: standard normal if the coefficients are random with that variance.
+
+        Those along the eigenvectors of the information, with the parameters free, where that exceeds what is known of
+        the coefficients beforehand.
+        """
+        weights, k = 1.0 / (np.asarray(noise) / self._units**2), self.k
+        gram, right = np.tensordot(weights, self._grams, axes=1), weights @ self._with_r
+        others = gram[k:, k:] + _RIDGE * np.trace(gram[k:, k:]) * np.eye(gram.shape[0] - k)
+        beside = np.linalg.solve(others, np.column_stack([gram[k:, :k], right[k:]]))
+        information = gram[:k, :k] - gram[:k, k:] @ beside[:, :-1]
+        score = right[:k] - gram[:k, k:] @ beside[:, -1]
+        sizes, vectors = np.linalg.eigh(0.5 * (information + information.T))
+        known = variance * sizes > 1.0
+        along = vectors[:, known].T @ score
+        return np.asarray(along / np.sqrt(sizes[known] * (1.0 + variance * sizes[known])))
+
     def maximised(self, noise: _Array, variance: float | None = None) -> Marginal:
         """Return the likelihood, maximised over the variances too.
 

@@ -296,10 +296,19 @@ def noises_of(at: Refit) -> list[tuple[Filter | None, _Array, int]]:
 
 def disturbance_at(linear: Linearised, of: Disturbance) -> float:
     """Return the log-likelihood of other records with a disturbance of the same kind, place and variances there."""
+    return _effects_of(linear, of).at(of.marginal.variance, of.marginal.noise).log_likelihood
+
+
+def components_of(linear: Linearised, of: Disturbance) -> _Array:
+    """Return the independent components of a random time history that a record determines: standard normal if it is
+    random (`RandomEffects.components`)."""
+    return _effects_of(linear, of).components(of.marginal.variance, of.marginal.noise)
+
+
+def _effects_of(linear: Linearised, of: Disturbance) -> RandomEffects:
     knots, _ = _knots(linear.points, 0, of.step)
     answers = linear.answers(replace(of.place, shown=False), _signals(linear.points, knots))
-    effects = RandomEffects(linear, answers).with_correlation(_exponential(knots, of.correlation / of.step))
-    return effects.at(of.marginal.variance, of.marginal.noise).log_likelihood
+    return RandomEffects(linear, answers).with_correlation(_exponential(knots, of.correlation / of.step))
 
 
 def powers_of(linear: Linearised, of: Disturbance) -> _Array:

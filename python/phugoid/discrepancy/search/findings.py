@@ -353,6 +353,11 @@ def _explanation(r: Remainder, time: TimeUnit) -> str:
             f"what is missing in {at} is not a random disturbance such as gusts: nearly all of it occurs in bursts, "
             "in less than a tenth of the time, and no candidate describes it"
         )
+    if r.oscillates:
+        return (
+            f"what is missing in {at} is not a random disturbance such as gusts: most of it is in a narrow band of "
+            "frequencies, as of an oscillation, and no candidate describes it"
+        )
     if d.kind == "event":
         assert d.span is not None
         record, begin, end = d.span

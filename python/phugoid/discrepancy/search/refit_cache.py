@@ -258,8 +258,8 @@ class RefitCache:
         lost = self._unexplained and (best is None or _unexplained(best.fit, self._unexplained))
         jumping = left > _LARGE and any(c.begins_measured and c.shape_names[0] not in known for c in candidates)
         # What the path of the fit speaks against may fit the measured one.
-        failed = best is None and bool(candidates) and candidates[-1].name in much
-        if lost or jumping or failed:
+        ended_nowhere = best is None and bool(candidates) and candidates[-1].name in much
+        if lost or jumping or ended_nowhere:
             # What is proposed is proposed about the measured motion.
             ends.append(refit(self.base.fit, candidates, {**starts, **(elsewhere or {})}, near, measured=True))
         for c in new:

@@ -20,7 +20,7 @@ from ...sensitivities.linearised import Linearised
 from ...sensitivities.whitened import Whitened
 from ..candidates.candidate import Candidate, Effect, is_function
 from . import Search, SearchResult
-from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of, powers_of
+from .disturbance import Disturbance, Disturbances, components_of, disturbance_at, functions_of, powers_of
 from .free_run import LEAST, Explained, Misfitting, Simulated
 from .other_laws import formula, terms_of, unknown_function
 from .process_noise import FilterErrorRefit, filtered, filtered_elsewhere, single_event
@@ -46,6 +46,8 @@ class RemainderSettings:
     functions  unknown functions that are fitted, the likeliest to first order.
     motion     correlation with what neighbours in the motion have, beyond which a time history is no random one.
     predicted  part of its variance that the inputs predict in time left out, beyond which it is none, either.
+    components part of the squares of its independent components in a tenth of them, beyond which it is none, either: an
+               oscillation, say.
     elsewhere  part of the power of residuals on data held out that their past predicts, beyond which they are no noise,
                and an event in the records is not what the model lacks.
     beside_drift  part of the misfit that a disturbance must explain beside a parameter that drifts.
@@ -64,6 +66,7 @@ class RemainderSettings:
     motion: float = 0.35
     predicted: float = 0.35
     bursts: float = 0.8
+    components: float = 0.6
     elsewhere: float = 0.5
     beside_drift: float = 0.25
 
@@ -80,6 +83,7 @@ class Remainder:
     filtered     the fit by the filter-error method.
     moves        whether the time history goes with the motion, as an unknown function of several variables does.
     bursts       whether nearly all of the time history happens in a small part of the time.
+    oscillates   whether most of it is in few of its independent components, as it is in a narrow band of frequencies.
     explained    of a function: the part of the misfit that it explains in free simulation of data held out.
     fitted       the fit with an unknown function.
     known        the fit with a candidate that explains as much as the function does; None where there is none.
@@ -93,6 +97,7 @@ class Remainder:
     filtered: FilterErrorRefit | None = None
     moves: bool = False
     bursts: bool = False
+    oscillates: bool = False
     explained: Explained | None = None
     fitted: Refit | None = None
     known: Refit | None = None
@@ -105,7 +110,7 @@ class Remainder:
     @property
     def is_unknown(self) -> bool:
         """Tell whether it describes a misfit whose cause is not known: a function, or what is no random disturbance."""
-        return self.disturbance.kind == "function" or self.moves or self.bursts
+        return self.disturbance.kind == "function" or self.moves or self.bursts or self.oscillates
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,7 +311,17 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         _goes_with_motion(option.at.linear, d) > s.motion or _predicted_by_inputs(option.at.linear, d) > s.predicted
     )
     bursts = d.kind == "noise" and _in_a_tenth(d.values) > s.bursts
-    return Remainder(d, option.at, gain, held_out, filtered=option.filtered, moves=moves, bursts=bursts)
+    oscillates = d.kind == "noise" and _in_a_tenth(components_of(option.at.linear, d)) > s.components
+    return Remainder(
+        d,
+        option.at,
+        gain,
+        held_out,
+        filtered=option.filtered,
+        moves=moves,
+        bursts=bursts,
+        oscillates=oscillates,
+    )
 
 
 def _in_a_tenth(values: _Array) -> float:

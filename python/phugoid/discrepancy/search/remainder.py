@@ -48,8 +48,8 @@ class RemainderSettings:
     predicted  part of its variance that the inputs predict in time left out, beyond which it is none, either.
     components part of the squares of its independent components in a tenth of them, beyond which it is none, either: an
                oscillation, say.
-    elsewhere  part of the power of residuals on data held out that their past predicts, beyond which they are no noise,
-               and an event in the records is not what the model lacks.
+    elsewhere  part of the power of the residuals of data held out, for a fit to these, that their past predicts, beyond
+               which an event in the records is not what the model lacks.
     beside_drift  part of the misfit that a disturbance must explain beside a parameter that drifts.
     bursts     part of the squares of a time history in a tenth of the time, beyond which it is no stationary random
                one: of normal values that is 0.44.
@@ -67,7 +67,7 @@ class RemainderSettings:
     predicted: float = 0.35
     bursts: float = 0.8
     components: float = 0.6
-    elsewhere: float = 0.5
+    elsewhere: float = 0.3
     beside_drift: float = 0.25
 
 
@@ -294,9 +294,10 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         noise = option.noise
         event, sure = single_event(search.cache, option.at, noise, s.structure, s.margin) if noise else (None, False)
         if event is not None:
-            # Of data held out, in which it did not happen, the model leaves noise, unless it is wrong there, too, and
-            # most where it is excited most.
-            if other is not None and is_structured(Refit((), other.fit), s.elsewhere):
+            # Estimated from data held out, in which it did not happen, the model leaves noise of them, unless it is
+            # wrong there, too, and most where it is excited most.
+            alone = fitted_to(option.at, search.cache.validation) if search.cache.validation else None
+            if alone is not None and is_structured(alone, s.elsewhere):
                 return None
             return Remainder(event, option.at, gain, held_out)
         if d.kind == "event" and noise is not None and sure:

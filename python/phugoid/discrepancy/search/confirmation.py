@@ -61,6 +61,7 @@ class Refitting:
         found = [self._with_sure_changes(t) for t in refits if t is not None]
         if simple:  # far from the fit what explains the misfit shows in the residuals themselves
             found = sorted(found, key=lambda t: -t.fit.log_likelihood)[: self.settings.simple]
+            found = [t for t in found if self._cache.is_weighed(t)]
         return [t for t in found if self._assessment.is_admissible(at, t)]
 
     def _with_sure_changes(self, at: Refit) -> Refit:

@@ -266,7 +266,7 @@ class RefitCache:
             name = c.shape_names[0]
             # Ends from one and the same value, on two paths, say nothing of other values.
             begun_here = max((r for r in ends if r is not None), key=lambda r: r.fit.log_likelihood, default=None)
-            ends = [begun_here]
+            ends = ends if begun_here is None else [begun_here]
             for factor in _STARTS if name in starts else ():
                 if _enough(ends, often=shares[c.name] > _EVIDENT):
                     break
@@ -313,6 +313,16 @@ class RefitCache:
             others = [c for c in others if at.linear.reaches(c.place)]
             self._scans[key] = Scan(at.linear, others)
         return self._scans[key]
+
+    def is_weighed(self, at: Refit) -> bool:
+        """Work out the likelihood of a refit with coloured noise; False where it cannot be linearised: then it takes no
+        further part."""
+        try:
+            _ = at.merit
+        except EvaluationError:
+            self.forget(at)
+            return False
+        return True
 
     def forget(self, at: Refit) -> None:
         """Have a refit take no further part, and not be made again."""

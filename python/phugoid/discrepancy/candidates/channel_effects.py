@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
-from ..._core import Expr
+from ..._core import Expr, lagged
 from ...functions import smooth_abs
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
@@ -92,7 +91,7 @@ class Lag(Effect):
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         it = channel(self, points)
-        return (_core.lagged(points.t, it, shape[self.shape_names[0]]) - it)[np.newaxis]
+        return (lagged(points.t, it, shape[self.shape_names[0]]) - it)[np.newaxis]
 
     def follower(self, extension: ExtensionBuilder, name: str, it: Expr) -> Expr:
         """Declare tau and the state that follows."""

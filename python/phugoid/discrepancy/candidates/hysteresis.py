@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
-from ..._core import Expr
+from ..._core import Expr, bouc_wen
 from ...functions import exp, smooth_abs, smooth_sign
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
@@ -60,7 +59,7 @@ class Hysteresis(Effect):
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         x = of(points.values, self.variables[0], points, "state")
         size, turn = self.shape_names
-        return _core.bouc_wen(x, shape[size], shape.get(turn, _SHARP))[np.newaxis]
+        return bouc_wen(x, shape[size], shape.get(turn, _SHARP))[np.newaxis]
 
     @property
     def _state(self) -> str:
@@ -69,7 +68,7 @@ class Hysteresis(Effect):
     def paths(self, points: Points, start: Mapping[str, float]) -> Mapping[str, _Array]:
         size, turn = self.shape_names
         x = of(points.values, self.variables[0], points, "state")
-        return {self._state: _core.bouc_wen(x, start[size], start.get(turn, _SHARP))} if size in start else {}
+        return {self._state: bouc_wen(x, start[size], start.get(turn, _SHARP))} if size in start else {}
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
-from ..._core import Expr
+from ..._core import Expr, play, rate_limited
 from ...functions import smooth_abs, smooth_step, tanh
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
@@ -430,7 +429,7 @@ class Backlash(_Follower):
         return 0.5 * self._span * np.concatenate([finer, parts])
 
     def path(self, t: _Array, u: _Array, size: float) -> _Array:
-        return _core.play(u, size)
+        return play(u, size)
 
     def slope(self, error: Expr, size: Expr, first: float) -> Expr:
         # Within the play nothing creeps but for exponentially little: records are many time constants long.
@@ -459,7 +458,7 @@ class RateLimit(_Follower):
         return self.scales.span(self.place.name) / np.geomspace(quick, max(slow, 2.0 * quick), 12)
 
     def path(self, t: _Array, u: _Array, size: float) -> _Array:
-        return _core.rate_limited(t, u, size)
+        return rate_limited(t, u, size)
 
     def slope(self, error: Expr, size: Expr, first: float) -> Expr:
         return Expr(size * tanh(error / (size * self._tau)))

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
-from ..._core import Expr
+from ..._core import Expr, lagged
 from ...functions import Table, cos, exp, sin, smooth_abs, smooth_sign, sqrt
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
@@ -303,7 +302,7 @@ class LaggedVariable(Effect):
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         u = of(points.values, self.variables[0], points, "state or input")
-        return _core.lagged(points.t, u, shape[self.shape_names[0]])[np.newaxis]
+        return lagged(points.t, u, shape[self.shape_names[0]])[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)

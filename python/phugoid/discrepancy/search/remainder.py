@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
+from ..._core import lagged
 from ...frozen_model import freed_by_default
 from ...sensitivities import Place, Points
 from ...sensitivities.linearised import Linearised
@@ -435,7 +435,7 @@ def _predicted_by_inputs(linear: Linearised, of: Disturbance) -> float:
     for p, at in _over_records(linear, of):
         duration = float(p.t[-1] - p.t[0])
         taus = np.geomspace(_QUICK * of.step, max(_SLOW * duration, 2.0 * of.step), _LAGS)
-        signals = [z for n in names for z in (p.values[n], *(_core.lagged(p.t, p.values[n], tau) for tau in taus))]
+        signals = [z for n in names for z in (p.values[n], *(lagged(p.t, p.values[n], tau) for tau in taus))]
         columns.append(np.stack([np.ones(at.size), *(np.interp(at, p.t, z) for z in signals)]))
         blocks.append(np.minimum((_BLOCKS * (at - p.t[0]) / duration).astype(int), _BLOCKS - 1))
     x, block, y = np.hstack(columns).T, np.concatenate(blocks), of.values

@@ -98,12 +98,6 @@ class Refit:
         """Of the candidates."""
         return tuple(c.name for c in self.candidates)
 
-    @cached_property
-    def is_rounded(self) -> bool:
-        """Whether what is left of an output lies within its resolution: rounding, which goes with the motion."""
-        experiments, left = self.linear.experiments, self.rms
-        return any(left[n] <= WITHIN * resolution_of([e.output(n) for e in experiments]) for n in left)
-
     def beside(self, others: Collection[Candidate]) -> list[Candidate]:
         """Return the candidates beside others; by name, for one candidate may be centred in several ways."""
         names = {c.name for c in others}

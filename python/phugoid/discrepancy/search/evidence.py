@@ -171,8 +171,7 @@ class Assessment:
     def needed(self, more: Refit, candidate: Candidate) -> float:
         """Twice the gain that a candidate must have: its threshold, and more where the noise goes through the vehicle
         itself or is that of rounding, for then its model is no more than an approximation."""
-        left = more.rms
-        rounded = any(left[name] <= WITHIN * step for name, step in self._resolution.items())
+        rounded = any(more.rms[name] <= WITHIN * step for name, step in self._resolution.items())
         return self.threshold(candidate) * (self.settings.doubtful if rounded or more.together is not None else 1.0)
 
     @cached_property

@@ -88,7 +88,7 @@ class Refit:
         """Through another's filter."""
         return Whitened(self.linear, filter.on(self.linear.structure))
 
-    @property
+    @cached_property
     def rms(self) -> dict[str, float]:
         """Output -> RMS of the residuals over all records."""
         return {n: math.sqrt(mean_square(self.fit, n)) for n in self.fit.model.output_names}

@@ -297,8 +297,7 @@ class Model:
 
         Where an output has the name of a state, the unit is that of the output, in which it was measured.
         """
-        of_outputs = {name: unit for name, _, unit, _ in self._core.outputs if unit}
-        return self.variable_units | of_outputs
+        return self.variable_units | self._output_units
 
     @property
     def variable_units(self) -> dict[str, str]:
@@ -307,8 +306,12 @@ class Model:
         pairs += [(name, unit) for name, unit, *_ in self._core.parameters]
         pairs += [("time", str(self._time_unit))] if self._time_unit != SECONDS else []
         named = {name: unit for name, unit in pairs if unit}
-        states = {name for name, _ in self._core.states}
-        return named | {name: unit for name, _, unit, _ in self._core.outputs if unit and name not in states | {*named}}
+        found = self._output_units | dict(self._core.states) | named
+        return {name: unit for name, unit in found.items() if unit}
+
+    @property
+    def _output_units(self) -> dict[str, str]:
+        return {name: unit for name, _, unit, _ in self._core.outputs if unit}
 
     @property
     def equations(self) -> dict[str, Expr]:

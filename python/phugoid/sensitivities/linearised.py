@@ -19,7 +19,7 @@ from ..data.filtering import interpolated
 from ..errors import EvaluationError, OptionError
 from ..fit_result import FitResult, dataset
 from ..initialisation import spread
-from ..residual_noise import uniform_segments
+from ..residual_noise import WITHIN, resolution_of, uniform_segments
 from ..residual_noise.whitening import RowStructure
 from ..solvers import check_time, time_is_up
 from ..transcription import Collocation
@@ -113,6 +113,11 @@ class Linearised:
         for sigma, line in zip(self.sigmas, self.rows, strict=True):
             scale[line[0].start : line[-1].stop] = sigma
         return scale
+
+    @cached_property
+    def rounding(self) -> dict[str, float]:
+        """Output -> the RMS within which residuals are rounding of its measurements; 0 where these are not rounded."""
+        return {n: WITHIN * resolution_of([e.output(n) for e in self.experiments]) for n in self.model.output_names}
 
     def _evaluate(self) -> None:
         """Evaluate the derivatives of f and g along the trajectory, at all points, by symbols."""

@@ -244,9 +244,8 @@ class ModelStructure:
         inverse is positive definite; None where no parameters stand there."""
         if Place("equation", speed) in self.places:
             return Place("equation", speed)
-        e = self.dynamics[speed]
-        quantities = [place for place in self.places if place.kind == "quantity" and place.name in e.symbols]
-        return next((place for place in quantities if self._increases(Expr(e.diff(place.name)))), None)
+        quantities = (place for place in self.places if place.kind == "quantity")
+        return next((place for place in quantities if self.direction(place, speed) > 0), None)
 
     def direction(self, place: Place, speed: str) -> int:
         """Return the sign of what a place adds to the rate of a speed, 1 or -1; 0 where that is not known. A quantity

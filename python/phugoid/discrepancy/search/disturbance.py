@@ -306,16 +306,20 @@ def components_of(linear: Linearised, of: Disturbance) -> _Array:
 
 
 def _effects_of(linear: Linearised, of: Disturbance) -> RandomEffects:
+    answers, correlation = _answers_of(linear, of)
+    return RandomEffects(linear, answers).with_correlation(correlation)
+
+
+def _answers_of(linear: Linearised, of: Disturbance) -> tuple[_Array, _Array | None]:
+    """Return the responses (k, n_rows) to a time history at its knots, and the correlation of its values there."""
     knots, _ = _knots(linear.points, 0, of.step)
     answers = linear.answers(replace(of.place, shown=False), _signals(linear.points, knots))
-    return RandomEffects(linear, answers).with_correlation(_exponential(knots, of.correlation / of.step))
+    return answers, _exponential(knots, of.correlation / of.step)
 
 
 def powers_of(linear: Linearised, of: Disturbance) -> _Array:
     """Return the mean square (n_y,) that a random time history is expected to give each output."""
-    knots, _ = _knots(linear.points, 0, of.step)
-    answers = linear.answers(replace(of.place, shown=False), _signals(linear.points, knots))
-    correlation = _exponential(knots, of.correlation / of.step)
+    answers, correlation = _answers_of(linear, of)
     both = answers if correlation is None else correlation @ answers
     squares = of.marginal.variance * np.sum(answers * both, axis=0)
     return np.array([float(squares[line[0].start : line[-1].stop].mean()) for line in linear.rows])

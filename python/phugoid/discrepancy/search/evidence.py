@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 
 import numpy as np
 
-from ...residual_noise import WITHIN, resolution_of
 from ...residual_noise.whitening import Whitening
 from ...sensitivities import Place
 from ...sensitivities.whitened import Whitened
@@ -171,15 +170,9 @@ class Assessment:
     def needed(self, more: Refit, candidate: Candidate) -> float:
         """Twice the gain that a candidate must have: its threshold, and more where the noise goes through the vehicle
         itself or is that of rounding, for then its model is no more than an approximation."""
-        rounded = any(more.rms[name] <= WITHIN * step for name, step in self._resolution.items())
+        rounding = self._cache.base.linear.rounding
+        rounded = any(0.0 < rounding[name] >= left for name, left in more.rms.items())
         return self.threshold(candidate) * (self.settings.doubtful if rounded or more.together is not None else 1.0)
-
-    @cached_property
-    def _resolution(self) -> dict[str, float]:
-        """Output -> the step of its measurements, where they are rounded to one."""
-        base = self._cache.base
-        steps = {n: resolution_of([e.output(n) for e in base.linear.experiments]) for n in base.rms}
-        return {n: step for n, step in steps.items() if step > 0.0}
 
     def margin(self, base: Refit, more: Refit) -> float:
         """Return how far the gain by the last candidate of a refit is above what it must be."""

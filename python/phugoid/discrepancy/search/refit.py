@@ -18,7 +18,6 @@ from ...fit_result import ENDED_WELL, FitResult, dataset, mean_square
 from ...frozen_model import estimates_of, freed_by_default, freeze_model, freeze_noise, mesh_for
 from ...modelling.model import Model
 from ...parameters import Estimates
-from ...residual_noise import WITHIN, resolution_of
 from ...residual_noise.whitening import Filter, Whitening
 from ...sensitivities import Points
 from ...sensitivities.linearised import Linearised
@@ -402,7 +401,6 @@ def is_structured(at: Refit, least: float) -> bool:
     filter = Whitening.of(linear.residuals, linear.structure)
     for name, line, channel in zip(linear.model.output_names, linear.rows, filter.channels, strict=True):
         power = float(np.mean(linear.residuals[line[0].start : line[-1].stop] ** 2))
-        rounded = (WITHIN * resolution_of([e.output(name) for e in linear.experiments])) ** 2
-        if channel.power < (1.0 - least) * power and power > rounded:
+        if channel.power < (1.0 - least) * power and power > linear.rounding[name] ** 2:
             return True
     return False

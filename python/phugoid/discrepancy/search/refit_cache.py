@@ -265,7 +265,7 @@ class RefitCache:
         for c in new:
             name = c.shape_names[0]
             # Ends from one and the same value, on two paths, say nothing of other values.
-            begun_here = max((r for r in ends if r is not None), key=lambda r: r.fit.log_likelihood, default=None)
+            begun_here = _best(ends)
             ends = ends if begun_here is None else [begun_here]
             for factor in _STARTS if name in starts else ():
                 if _enough(ends, often=shares[c.name] > _EVIDENT):
@@ -281,7 +281,7 @@ class RefitCache:
                     break
                 ends.append(refit(self.base.fit, candidates, {**starts, **shape}, near, points))
                 failed += ends[-1] is None
-        return max((r for r in ends if r is not None), key=lambda r: r.fit.log_likelihood, default=None)
+        return _best(ends)
 
     def _left(self, near: FitResult | None) -> float:
         """Return the part of the power of the base's residuals that a fit leaves in the output with the most."""
@@ -439,6 +439,11 @@ def _unexplained(fit: FitResult, names: Sequence[str]) -> list[str]:
         if moved.size and mean_square(fit, name) > _USELESS * float(np.nanmean(moved**2)):
             found.append(name)
     return found
+
+
+def _best(ends: Sequence[Refit | None]) -> Refit | None:
+    """Return the likeliest of the refits that came to an end."""
+    return max((r for r in ends if r is not None), key=lambda r: r.fit.log_likelihood, default=None)
 
 
 def _enough(ends: Sequence[Refit | None], often: bool) -> bool:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...residual_noise import WITHIN, UniformSegment, resolution_of
+from ...residual_noise import UniformSegment
 from . import Search, SearchResult
 from .confirmation import Found
 from .refit import Refit
@@ -44,8 +44,7 @@ def is_motion(at: Refit, least: float) -> bool:
     linear = at.linear
     for name, line, lasting in zip(linear.model.output_names, linear.rows, persistence(at), strict=True):
         power = float(np.mean(linear.residuals[line[0].start : line[-1].stop] ** 2))
-        rounded = (WITHIN * resolution_of([e.output(name) for e in linear.experiments])) ** 2
-        if power > rounded and lasting > least:
+        if power > linear.rounding[name] ** 2 and lasting > least:
             return True
     return False
 

@@ -5,15 +5,17 @@ from __future__ import annotations
 import functools
 
 import numpy as np
+import pytest
 import short_period
 from short_period import T
 
 import phugoid as ph
+from phugoid.discrepancy.search import Search, SearchResult
 from phugoid.discrepancy.search.disturbance import histories_at
 from phugoid.discrepancy.search.process_noise import _parts, is_disturbed, single_event
 from phugoid.discrepancy.search.refit import Refit
 from phugoid.discrepancy.search.refit_cache import RefitCache
-from phugoid.discrepancy.search.remainder import RemainderSettings
+from phugoid.discrepancy.search.remainder import Remainder, RemainderSettings, remainder_of
 from phugoid.sensitivities import Place
 from phugoid.sensitivities.tangents import collocated
 
@@ -84,3 +86,61 @@ def test_the_parts_beside_a_span_are_those_that_are_long_enough() -> None:
     assert before.n + after.n == e.n - np.count_nonzero((e.t >= 8.0) & (e.t <= 9.0))
     (after,) = _parts(e, 0.5, 9.0)
     assert after.t[0] > 9.0
+
+
+def tanks() -> ph.Model:
+    m = ph.Model("tanks")
+    h1, h2 = m.states(h1="cm", h2="cm")
+    (u,) = m.inputs("u")
+    k, c1, c2 = m.parameters(k=0.2, c1=0.3, c2=0.3)
+    m.dynamics(h1=k * u - c1 * ph.sqrt(h1), h2=c1 * ph.sqrt(h1) - c2 * ph.sqrt(h2))
+    m.outputs(h1=h1, h2=h2)
+    return m
+
+
+def levels(seed: int, poured: bool, leaks: float) -> ph.Experiment:
+    """Levels of two tanks with a controller of the second: water that is poured into it for 6 s, and a leak that is
+    proportional to the product of both levels."""
+    rng, dt = np.random.default_rng(seed), 0.02
+    t = np.arange(0.0, 60.0, dt)
+    wanted = 11.0 + np.repeat(rng.uniform(-2.0, 2.0, 6), t.size // 6)
+    x, integral, u, path = np.array([9.0, 11.0]), 4.0, np.zeros(t.size), np.zeros((t.size, 2))
+    for i, now in enumerate(t):
+        path[i] = x
+        if i % 5:
+            u[i] = u[i - 1]
+        else:
+            integral += 0.005 * (wanted[i] - x[1])
+            u[i] = np.clip(integral + 0.7 * (wanted[i] - x[1]), 0.0, 12.0)
+        between = 0.42 * np.sqrt(x[0])
+        more = 0.55 * (poured and 31.0 <= now < 37.0) - leaks * x[0] * x[1]
+        x = x + dt * np.array([0.30 * u[i] - between, between - 0.36 * np.sqrt(x[1]) + more])
+    y = path[::5] + 0.12 * rng.standard_normal((t.size // 5, 2))
+    held = {"u": "hold"}
+    outputs = {"h1": y[:, 0], "h2": y[:, 1]}
+    return ph.Experiment(t[::5], {"u": u[::5]}, outputs, interpolation=held, name=f"record {seed}")
+
+
+def left_beside_the_product(leaks: float) -> Remainder | None:
+    """What is left beside a term h1 h2, which is taken to predict data held out."""
+    base = Refit((), collocated(ph.estimate(tanks(), levels(3, True, leaks))))
+    candidates = ph.candidates(tanks(), points=base.linear.points)
+    search = Search(base, candidates, [levels(4, False, leaks)])
+    search.cache.try_validation()
+    search.screen.shortlist(base)
+    (term,) = [c for c in search.cache.candidates if c.name == "h2':h1*h2"][:1]
+    final = search.cache.refit([term])
+    assert final is not None and final.merit > base.merit
+    result = SearchResult(final, final, (search.confirmation.found(final, term, True),))
+    return remainder_of(search, result, RemainderSettings(most=-10.0))
+
+
+def test_a_term_that_undoes_what_an_event_did_to_the_estimates_gives_way_to_it() -> None:
+    left = left_beside_the_product(0.0)
+    assert left is not None and left.disturbance.name == "h2':event" and left.at.names == ()
+    assert left.disturbance.span is not None and left.disturbance.span[1:] == pytest.approx((31.0, 37.0), abs=2.0)
+
+
+def test_an_event_alone_does_not_take_the_place_of_what_data_held_out_lack_too() -> None:
+    left = left_beside_the_product(0.004)
+    assert left is None or left.disturbance.kind != "event" or left.at.names

@@ -13,7 +13,7 @@ from phugoid.discrepancy.search import Search, SearchResult
 from phugoid.discrepancy.search.disturbance import histories_at
 from phugoid.discrepancy.search.refit import Refit
 from phugoid.discrepancy.search.remainder import Remainder
-from phugoid.discrepancy.search.stand_ins import StandInSettings, is_motion, persistence, without_stand_ins
+from phugoid.discrepancy.search.stand_ins import DIFFERS, StandInSettings, is_motion, persistence, without_stand_ins
 from phugoid.residual_noise.whitening import Whitening
 from phugoid.sensitivities import Place
 from phugoid.sensitivities.tangents import collocated
@@ -79,20 +79,20 @@ def spring(kind: str) -> ph.Model:
     return m
 
 
-def record(kind: str, seed: int) -> ph.Experiment:
+def record(kind: str, seed: int, size: float = 1.0) -> ph.Experiment:
     t, rng = T[::4], np.random.default_rng(seed)
-    u = 1.2 * np.sin(0.8 * t + 0.008 * t**2 + seed) + 0.5 * np.sin(0.31 * t)
+    u = size * (1.2 * np.sin(0.8 * t + 0.008 * t**2 + seed) + 0.5 * np.sin(0.31 * t))
     run = ph.simulate(spring(kind), {"k": 1.0, "c": 0.3}, ph.Experiment(t, {"u": u}), initial={"x": 0.0, "v": 0.0})
     y = {n: z + 0.01 * rng.standard_normal(t.size) for n, z in run.outputs.items()}
     return ph.Experiment(t, {"u": u}, y, name=f"record {seed}")
 
 
 @functools.cache
-def named(kind: str, cause: str) -> tuple[Search, SearchResult]:
-    """A search that named one cause."""
+def named(kind: str, cause: str, size: float = 1.0) -> tuple[Search, SearchResult]:
+    """A search that named one cause; the input of the data held out is so many times as large."""
     fit = ph.estimate(spring(""), record(kind, 1))
     base = Refit((), collocated(fit))
-    search = Search(base, ph.candidates(fit.model, points=base.linear.points), [record(kind, 2)])
+    search = Search(base, ph.candidates(fit.model, points=base.linear.points), [record(kind, 2, size)])
     search.cache.try_validation()
     search.screen.shortlist(base)
     (candidate,) = [c for c in search.cache.candidates if c.name == cause][:1]
@@ -106,8 +106,26 @@ def test_a_term_that_leaves_a_larger_motion_is_a_surrogate() -> None:
     explained = search.assessment.explained(search.cache.base, result.final)
     assert explained is not None and explained.interval[0] < StandInSettings.most
     kept, remainder = without_stand_ins(search, result, None)
-    assert kept.surrogates == {"v':u^2"} and kept.final is search.cache.base and kept.full is result.full
+    assert kept.surrogates.keys() == {"v':u^2"} and kept.final is search.cache.base and kept.full is result.full
     assert remainder is None
+
+
+def test_a_term_that_data_held_out_ask_to_be_different_is_a_surrogate() -> None:
+    """x|x| for x^3 in a motion that is larger in the data held out, of which it explains 98 %."""
+    search, result = named(CUBE, "v':x|x|", 4.0)
+    settings = StandInSettings(whole=0.995, more=0.0)
+    kept, remainder = without_stand_ins(search, result, None, settings)
+    assert kept.surrogates == {"v':x|x|": DIFFERS} and kept.final is search.cache.base
+    assert remainder is not None and remainder.disturbance.name == "v':f(x)"
+    # The whole function, and not only what the term lacks: minus the cubic force, but for a constant and a linear part.
+    curve = remainder.disturbance
+    true = -0.2 * curve.knots**3
+    straight = np.polynomial.Polynomial.fit(curve.knots, curve.values - true, 1)(curve.knots)
+    assert curve.values == pytest.approx(true + straight, abs=0.05 * float(np.ptp(true)))
+    # By default a term that explains nearly all is left as it is, and so is the true one.
+    assert without_stand_ins(search, result, None) == (result, None)
+    right, its = named(CUBE, "v':x^3", 4.0)
+    assert without_stand_ins(right, its, None, replace(settings, whole=2.0)) == (its, None)
 
 
 def test_a_term_that_leaves_noise_is_a_cause() -> None:
@@ -135,7 +153,7 @@ def test_a_likelier_function_takes_the_place_of_a_named_term() -> None:
     for term, times, surrogates in ((part, 0.5, set()), (part, 2.0, {"v':x^3"}), (found, 2.0, set())):
         remainder = Remainder(of, search.cache.base, times * found.gain, float("nan"))
         kept, _ = without_stand_ins(search, replace(result, found=(term,)), remainder)
-        assert kept.surrogates == surrogates
+        assert kept.surrogates.keys() == surrogates
 
 
 def test_what_nothing_was_named_for_is_left_as_it_is() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 
@@ -61,7 +61,7 @@ class SearchResult:
     full         the model with minor findings and surrogates too.
     remarks      what is to be said of it, in words.
     interrupted  whether the search was ended early.
-    surrogates   names of terms that stand in for something that no candidate describes.
+    surrogates   name of a term that stands in for something that no candidate describes -> what shows it, in words.
     """
 
     final: Refit
@@ -69,7 +69,7 @@ class SearchResult:
     found: tuple[Found, ...] = ()
     remarks: tuple[str, ...] = ()
     interrupted: bool = False
-    surrogates: frozenset[str] = frozenset()
+    surrogates: Mapping[str, str] = field(default_factory=dict)
 
     def of(self, candidate: Candidate) -> Refit:
         """Return the refit in which a finding is told."""

@@ -65,8 +65,9 @@ class Finding:
                    the cause and its aliases is present.
     status         "named"; "minor": significant, but it explains less of the misfit than 5 %, or no more than chance
                    does, in free simulation; "surrogate": it fits, but represents another cause, since a parameter
-                   is outside its physical range, or the remaining misfit is not noise and exceeds what it explains;
-                   "unexplained": the residuals hold more than noise, and no candidate predicts it.
+                   is outside its physical range, the remaining misfit is not noise and exceeds what it explains, or
+                   data held out ask for another shape or size of it; "unexplained": the residuals hold more than
+                   noise, and no candidate predicts it.
     coefficient, std_error, interval   of its first parameter, or the amplitude of what is periodic, in ``unit``; the
                    interval is of 95 %. NaN where unexplained. Standard errors are those for noise with the
                    autocorrelation of the residuals.

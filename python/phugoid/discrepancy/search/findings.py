@@ -45,10 +45,6 @@ _ALIASES = 3
 _TURNED = -1.5
 # Records that are listed with their values.
 _LISTED = 6
-_STANDS_IN = (
-    "; but the remaining residuals are not noise and exceed what it explains with certainty, so that it may represent "
-    "an effect that no candidate describes"
-)
 _UNPHYSICAL = "; but its coefficient is outside the physical range"
 _OTHER_UNITS = ", as with a wrong sign or other units"
 _UNEXPLAINED = "the residuals are more than noise, but no candidate improves the prediction of held-out data"
@@ -77,7 +73,7 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
         )
     c = found.candidate
     final = kept if kept is not None and c.name in kept.names else result.of(c)
-    explained, stands_in = found.explained, c.name in result.surrogates
+    explained, stands_in = found.explained, result.surrogates.get(c.name, "")
     plausible = is_plausible(final, c, explained)
     parameters = final.parameters(c)
     name = next(iter(parameters))
@@ -94,7 +90,7 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
         gain=found.gain,
         held_out_gain=found.held_out[0],
         threshold=found.threshold,
-        explanation=c.explanation + (_STANDS_IN if stands_in else _remark(c, parameters, plausible)),
+        explanation=c.explanation + (f"; but {stands_in}" if stands_in else _remark(c, parameters, plausible)),
         units={n: final.fit.parameters[n].unit for n in parameters},
         rivals=dict(found.rivals),
         **_simulated(explained),
@@ -345,7 +341,7 @@ def _explanation(r: Remainder, time: TimeUnit) -> str:
         return f"no candidate describes it, but a smooth function of {d.variable} in {where(d.place)} does: {_shape(d)}"
     if r.moves:
         return (
-            f"what is missing in {at} is not a random disturbance: it recurs with the same motion, or follows past "
+            f"what is missing in {at} is not a random disturbance: it recurs or grows with the motion, or follows past "
             "inputs, as a function of several variables or of their past, which no candidate describes"
         )
     if r.bursts:

@@ -7,8 +7,9 @@ with a disturbance at each place of the model (`disturbance`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,9 @@ class RemainderSettings:
     most       part of the misfit below which the terms of a search do not explain most of it.
     functions  unknown functions that are fitted, the likeliest to first order.
     motion     correlation with what neighbours in the motion have, beyond which a time history is no random one.
-    predicted  part of its variance that the inputs predict in time left out, beyond which it is none, either.
+    predicted  part of its variance that the inputs and their past predict in time left out, beyond which it is none,
+               either: with feedback they answer gusts.
+    products   the same of it or its square by products of states and inputs, of which gusts know nothing.
     components part of the squares of its independent components in a tenth of them, beyond which it is none, either: an
                oscillation, say.
     elsewhere  part of the power of the residuals of data held out, for a fit to these, that their past predicts, beyond
@@ -65,6 +68,7 @@ class RemainderSettings:
     functions: int = 2
     motion: float = 0.35
     predicted: float = 0.35
+    products: float = 0.12
     bursts: float = 0.8
     components: float = 0.6
     elsewhere: float = 0.3
@@ -81,7 +85,8 @@ class Remainder:
     held_out     the same on data held out; NaN where there are none, or none that can tell.
     rivals       others of its kind that the data do not tell from it: name -> gain.
     filtered     the fit by the filter-error method.
-    moves        whether the time history goes with the motion, as an unknown function of several variables does.
+    moves        whether the time history, or its size, goes with the motion, as an unknown function of several
+                 variables does.
     bursts       whether nearly all of the time history happens in a small part of the time.
     oscillates   whether most of it is in few of its independent components, as it is in a narrow band of frequencies.
     explained    of a function: the part of the misfit that it explains in free simulation of data held out.
@@ -144,6 +149,10 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
         alone = _options(base, known, s, not is_structured(base, s.structure))
         if alone[0].disturbance is not None and alone[0].merit > options[0].merit - search.chances(full):
             options = alone
+    elif terms and options[0].disturbance is not None and options[0].disturbance.kind == "event":
+        event = _event_alone(search, base, known, s)
+        if event is not None:
+            return event
     first = options[0].disturbance
     # The path itself may change much with a function: it is fitted, and then compared with what is else likely.
     function = _function(search, result, options, known, s)
@@ -158,6 +167,26 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
     if found.disturbance.kind == "event":  # whatever kind they were compared as
         rivals = {f"{name.rpartition(':')[0]}:event": gain for name, gain in rivals.items()}
     return replace(found, rivals=rivals)
+
+
+def _event_alone(search: Search, base: Refit, known: Disturbances, s: RemainderSettings) -> Remainder | None:
+    """Return an event without which the model that was diagnosed fits the records and those held out; None where it
+    does not. Terms that simulate data held out better then undo what the event did to the parameters."""
+    options = _options(base, known, s)
+    likeliest = next((o for o in options if o.noise is not None), None)
+    if likeliest is None or likeliest.noise is None:
+        return None
+    event, _ = single_event(search.cache, base, likeliest.noise, s.structure, s.margin)
+    if event is None or _is_wrong_alone(search, base, s):
+        return None
+    return Remainder(event, base, likeliest.merit - options[-1].merit, float("nan"))
+
+
+def _is_wrong_alone(search: Search, at: Refit, s: RemainderSettings) -> bool:
+    """Tell whether a model leaves more than noise of the data held out where it is estimated from these alone. A model
+    that lacks nothing but an event in the records leaves noise, unless it is wrong there, too."""
+    alone = fitted_to(at, search.cache.validation) if search.cache.validation else None
+    return alone is not None and is_structured(alone, s.elsewhere)
 
 
 # Places of what acts beside the inputs: in an equation of motion, as coloured noise or as white noise of its state.
@@ -294,12 +323,8 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         noise = option.noise
         event, sure = single_event(search.cache, option.at, noise, s.structure, s.margin) if noise else (None, False)
         if event is not None:
-            # Estimated from data held out, in which it did not happen, the model leaves noise of them, unless it is
-            # wrong there, too, and most where it is excited most.
-            alone = fitted_to(option.at, search.cache.validation) if search.cache.validation else None
-            if alone is not None and is_structured(alone, s.elsewhere):
-                return None
-            return Remainder(event, option.at, gain, held_out)
+            # What is wrong in data held out, too, is so where the motion is excited most.
+            return None if _is_wrong_alone(search, option.at, s) else Remainder(event, option.at, gain, held_out)
         if d.kind == "event" and noise is not None and sure:
             d = noise
     if d.kind == "noise" and gain < wandering(option.at, option.at.linear.model.output_names) + s.alike:
@@ -308,9 +333,7 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         held_out = _held_out(search, option, d, other, s)
         if held_out <= 0.0:
             return None
-    moves = d.kind == "noise" and (
-        _goes_with_motion(option.at.linear, d) > s.motion or _predicted_by_inputs(option.at.linear, d) > s.predicted
-    )
+    moves = d.kind == "noise" and _moves(option.at.linear, d, s)
     bursts = d.kind == "noise" and _in_a_tenth(d.values) > s.bursts
     oscillates = d.kind == "noise" and _in_a_tenth(components_of(option.at.linear, d)) > s.components
     return Remainder(
@@ -322,6 +345,18 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         moves=moves,
         bursts=bursts,
         oscillates=oscillates,
+    )
+
+
+def _moves(linear: Linearised, d: Disturbance, s: RemainderSettings) -> bool:
+    """Tell whether a time history, or its size, goes with the motion or the inputs: noise does not know of what moves,
+    unmodelled dynamics answer it (the test of independence between residuals and past inputs, Ljung 1999, section
+    16.6)."""
+    size = d.values**2 - np.mean(d.values**2)
+    return (
+        _goes_with_motion(linear, d) > s.motion
+        or _part_predicted(linear, d, d.values, _past_inputs) > s.predicted
+        or any(_part_predicted(linear, d, values, _products) > s.products for values in (d.values, size))
     )
 
 
@@ -426,20 +461,38 @@ def _goes_with_motion(linear: Linearised, of: Disturbance) -> float:
 _LAGS, _QUICK, _SLOW, _BLOCKS, _RIDGES = 6, 1.0, 0.2, 8, (1e-3, 1e-2, 1e-1)
 
 
-def _predicted_by_inputs(linear: Linearised, of: Disturbance) -> float:
-    """Return the part of a time history's variance that the inputs and their past predict in blocks of time that are
-    left out in turn, at least 0: noise does not know of the inputs, unmodelled dynamics answer them (the test of
-    independence between residuals and past inputs, Ljung 1999, section 16.6)."""
-    names = [n for n in linear.model.declared_inputs if any(np.ptp(p.values[n]) > 0.0 for p in linear.points)]
+_Signals = Callable[[Linearised, Disturbance, Points], list[_Array]]
+
+
+def _past_inputs(linear: Linearised, of: Disturbance, p: Points) -> list[_Array]:
+    """Return the inputs along a record, now and through lags of several time constants."""
+    duration = float(p.t[-1] - p.t[0])
+    taus = np.geomspace(_QUICK * of.step, max(_SLOW * duration, 2.0 * of.step), _LAGS)
+    names = _moving(linear, linear.model.declared_inputs)
+    return [z for n in names for z in (p.values[n], *(lagged(p.t, p.values[n], tau) for tau in taus))]
+
+
+def _products(linear: Linearised, of: Disturbance, p: Points) -> list[_Array]:
+    """Return states and inputs along a record, and their squares and products."""
+    names = _moving(linear, [*linear.model.state_names, *linear.model.declared_inputs])
+    every = {n: np.concatenate([q.values[n] for q in linear.points]) for n in names}
+    moving = [(p.values[n] - x.mean()) / x.std() for n, x in every.items()]
+    return [*moving, *(a * b for a, b in combinations_with_replacement(moving, 2))]
+
+
+def _moving(linear: Linearised, names: Iterable[str]) -> list[str]:
+    return [n for n in names if any(np.ptp(p.values[n]) > 0.0 for p in linear.points)]
+
+
+def _part_predicted(linear: Linearised, of: Disturbance, values: _Array, signals: _Signals) -> float:
+    """Return the part of the variance of values at the knots of a time history that signals predict in blocks of time
+    that are left out in turn, at least 0."""
     columns, blocks = [], []
     for p, at in _over_records(linear, of):
-        duration = float(p.t[-1] - p.t[0])
-        taus = np.geomspace(_QUICK * of.step, max(_SLOW * duration, 2.0 * of.step), _LAGS)
-        signals = [z for n in names for z in (p.values[n], *(lagged(p.t, p.values[n], tau) for tau in taus))]
-        columns.append(np.stack([np.ones(at.size), *(np.interp(at, p.t, z) for z in signals)]))
-        blocks.append(np.minimum((_BLOCKS * (at - p.t[0]) / duration).astype(int), _BLOCKS - 1))
-    x, block, y = np.hstack(columns).T, np.concatenate(blocks), of.values
-    if not names or y.size <= 2 * x.shape[1] or not y.any():
+        columns.append(np.stack([np.ones(at.size), *(np.interp(at, p.t, z) for z in signals(linear, of, p))]))
+        blocks.append(np.minimum((_BLOCKS * (at - p.t[0]) / (p.t[-1] - p.t[0])).astype(int), _BLOCKS - 1))
+    x, block, y = np.hstack(columns).T, np.concatenate(blocks), values
+    if x.shape[1] < 2 or y.size <= 2 * x.shape[1] or not y.any():
         return 0.0
     x /= np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-300)
     least = float(y @ y)

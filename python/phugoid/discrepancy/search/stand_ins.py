@@ -5,6 +5,11 @@ Of a misfit that has its cause outside of all candidates, the nearest of some hu
 and data held out confirm that part. What tells it from a cause is what it leaves. Beside a cause noise is left, or
 another cause is found; a stand-in leaves a motion that the model does not have, larger than what it explains.
 
+A stand-in may fit the records as well as the cause does, and only differ from it where data held out have another
+amplitude or another frequency: |u|u and u^3, or a lag and a delay. It shows when it is estimated from all records
+together. Then its coefficient moves by more than its standard error allows, or any function of its variable is
+likelier, or residuals that passed for noise in the records have structure.
+
 A motion persists over the time in which the vehicle itself hardly moves, noise of a sensor does not. The prediction
 from one sample to the next says less: of two records of one motion that with more samples is the better predicted,
 and so is its noise where that is coloured. A lag in seconds, which follows from the fitted motion, is the same at any
@@ -13,19 +18,26 @@ sampling rate.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...fit_result import dataset
 from ...residual_noise import UniformSegment
+from ..candidates.candidate import Candidate, Effect, is_function
 from . import Search, SearchResult
 from .confirmation import Found
-from .refit import Refit
+from .disturbance import BENDS, Disturbance, functions
+from .free_run import Explained, Misfitting, Simulated
+from .refit import Refit, fitted_to, is_structured, values_of
 from .remainder import Remainder
 
 __all__ = [
+    "DIFFERS",
+    "LEAVES_MORE",
     "StandInSettings",
     "is_motion",
     "persistence",
@@ -34,6 +46,16 @@ __all__ = [
 
 
 _Array = NDArray[np.float64]
+
+LEAVES_MORE = (
+    "the remaining residuals are not noise and exceed what it explains with certainty, so that it may represent an "
+    "effect that no candidate describes"
+)
+DIFFERS = (
+    "estimated with the data held out it is different, or does not describe both, so that it may represent an effect "
+    "of about this shape that no candidate describes"
+)
+"""Why a term is a surrogate, in words."""
 
 # Of the autocorrelation of a fitted output what it loses over the lag: a sine loses that in a sixth of a radian.
 _LOST = 0.015
@@ -106,11 +128,24 @@ class StandInSettings:
                 better answer.
     persistent  autocorrelation of an output's residuals over a lag in which the output itself hardly moves, from which
                 on they are a motion rather than noise of a sensor (`persistence`).
+    whole       part of the misfit of data held out that terms explain, from which on they are not compared with it
+                further.
+    deviation   standard errors by which a parameter of a term may change when data held out are added.
+    margin      log-likelihood, less the number of its parameters, by which any function of a term's variable may be
+                ahead of it on all records.
+    more        part of what a term explains that such a change, or such a function, may explain beside it: no record is
+                without another misfit.
+    structure   part of the residuals' power that their past predicts, below which they pass for noise.
     """
 
     most: float = 0.5
     sure: float = 0.8
     persistent: float = 0.94
+    whole: float = 0.9
+    deviation: float = 4.0
+    margin: float = 8.0
+    more: float = 0.1
+    structure: float = 0.05
 
 
 def without_stand_ins(
@@ -123,25 +158,109 @@ def without_stand_ins(
     named = [f for f in result.found if f.candidate is not None and f.candidate.name in final.names]
     if not named:
         return result, remainder
-    unknown = remainder is not None and remainder.is_unknown
-    if not (unknown or is_motion(final, s.persistent)):
-        return result, remainder
-    together = search.assessment.explained(search.cache.base, final)
-    doubtful = together is None or together.interval[0] < s.most
-    # A function that has no name is the better part of the answer where it is so much likelier.
-    gain = remainder.gain if remainder is not None and unknown else -np.inf
-    lost = {
-        f.candidate.name
-        for f in named
-        if f.candidate is not None
-        and ((doubtful and not _of_its_own(f, s.most)) or (f.gain < gain and not _is_sure(f, s.sure)))
-    }
+    lost = {c.name: LEAVES_MORE for c in _outweighed(search, result, named, remainder, s)}
+    differing, curve = _differing(search, final, s)
+    lost |= {c.name: DIFFERS for c in differing}
     if not lost:
         return result, remainder
     kept = search.cache.refit([c for c in final.candidates if c.name not in lost], final.fit)
-    if remainder is not None and remainder.is_noise and not lost.isdisjoint(remainder.at.names):
+    if remainder is not None and remainder.is_noise and not lost.keys().isdisjoint(remainder.at.names):
         remainder = None
-    return replace(result, final=kept or search.cache.base, surrogates=result.surrogates | lost), remainder
+    final = kept or search.cache.base
+    return replace(result, final=final, surrogates={**result.surrogates, **lost}), remainder or curve
+
+
+def _outweighed(
+    search: Search, result: SearchResult, named: Sequence[Found], remainder: Remainder | None, s: StandInSettings
+) -> list[Candidate]:
+    """Return the terms that leave more of the misfit, as a motion, than they explain."""
+    unknown = remainder is not None and remainder.is_unknown
+    if not (unknown or is_motion(result.final, s.persistent)):
+        return []
+    together = search.assessment.explained(search.cache.base, result.final)
+    doubtful = together is None or together.interval[0] < s.most
+    # A function that has no name is the better part of the answer where it is so much likelier.
+    gain = remainder.gain if remainder is not None and unknown else -np.inf
+    return [
+        f.candidate
+        for f in named
+        if f.candidate is not None
+        and ((doubtful and not _of_its_own(f, s.most)) or (f.gain < gain and not _is_sure(f, s.sure)))
+    ]
+
+
+def _differing(search: Search, final: Refit, s: StandInSettings) -> tuple[list[Candidate], Remainder | None]:
+    """Return the terms that data held out ask to be different, and the function that is likelier than one of them."""
+    cache = search.cache
+    if not cache.validation or not all(c.transferable for c in final.candidates):
+        return [], None
+    together = search.assessment.explained(cache.base, final)
+    if together is None or together.part >= s.whole:
+        return [], None
+    cache.watch("comparing what was found with all records together")
+    every = _with_held_out(search, final)
+    if every is None:
+        return [], None
+    likelier = {
+        c.name: h for c in final.candidates if (h := _likelier_shape(search, every, c, together, s)) is not None
+    }
+    found = [c for c in final.candidates if c.name in likelier or _has_changed(final, every, c, s)]
+    if not found and not is_structured(final, s.structure) and is_structured(every, s.structure):
+        found = list(final.candidates)
+    if not likelier:
+        return found, None
+    name, most = max(likelier.items(), key=lambda each: each[1].merit)
+    (candidate,) = (c for c in final.candidates if c.name == name)
+    return found, Remainder(_beside(every, candidate, most), every, most.merit - every.merit, float("nan"))
+
+
+def _with_held_out(search: Search, at: Refit) -> Refit | None:
+    """Return the model of a refit estimated from the records and the data held out together; what is estimated again
+    on other data has a value in each. None where there is no such fit."""
+    model = at.fit.model
+    declared = model.declared_parameters
+    own = [n for n in search.cache.estimated_again(at) if n in declared]
+    each = model.with_parameters({n: replace(declared[n], per_experiment=True) for n in own})
+    data = [*dataset(at.fit), *search.cache.validation]
+    return fitted_to(at, data, model=each, start=values_of(at.fit))
+
+
+def _has_changed(before: Refit, after: Refit, candidate: Candidate, s: StandInSettings) -> bool:
+    """Tell whether a parameter of a candidate differs between two fits by more than its standard error allows, and by
+    so much that the square of its effect tells."""
+    known, change = after.fit.parameters, math.sqrt(s.more)
+    values = {n: each for n, each in before.parameters(candidate).items() if n in known}
+    return any(abs(known[n].value - v) > max(s.deviation * e, change * abs(v)) for n, (v, e) in values.items())
+
+
+def _likelier_shape(
+    search: Search, at: Refit, candidate: Candidate, together: Explained, s: StandInSettings
+) -> Disturbance | None:
+    """Return the function of a candidate's variable that is likelier beside it, in its place, and explains much; None
+    where there is none."""
+    if not isinstance(candidate, Effect) or not is_function(candidate):
+        return None
+    every = functions(at, candidate.place, candidate.variables, BENDS)
+    best = max(every, key=lambda h: h.merit, default=None)
+    base = _with_held_out(search, search.cache.base)
+    if best is None or best.merit < at.merit + s.margin or base is None:
+        return None
+    without = Simulated.of(at.linear)
+    rest = Simulated.of(at.linear, best.marginal.residuals).explained(without, Misfitting.of(base.linear))
+    return best if rest.part > s.more * together.part else None
+
+
+def _beside(at: Refit, candidate: Candidate, rest: Disturbance) -> Disturbance:
+    """Return the function that a candidate and what is missing beside it make together."""
+    assert isinstance(candidate, Effect)
+    fit, points = at.fit.parameters, at.linear.points
+    (name,), size = candidate.variables, fit[candidate.coefficients[0]].value if candidate.coefficients else 1.0
+    shape = {n: fit[n].value for n in candidate.shape_names}
+    x = np.concatenate([p.values[name] for p in points])
+    y = np.concatenate([candidate.signals(p, shape)[0] for p in points])
+    order = np.argsort(x)
+    values = rest.values + size * np.interp(rest.knots, x[order], y[order])
+    return replace(rest, marginal=replace(rest.marginal, coefficients=values))
 
 
 def _is_sure(found: Found, sure: float) -> bool:

@@ -189,7 +189,7 @@ def _assigned(e: Experiment, base: Refit) -> Experiment:
     inputs = {n: e.input(n) for n in model.input_names}
     outputs = {n: e.output(n) for n in model.output_names}
     kinds = {n: e.interpolation_of(n) for n in inputs}
-    found = Experiment(e.t, inputs, outputs, name=e.name, interpolation=kinds, units=e.units)
+    found = Experiment(e.t, inputs, outputs, name=e.name, interpolation=kinds, units=e._units_of(inputs, outputs))
     signals = {n: s for n in inputs if (s := e.signal(n)) is not None}
     return found._sampled(signals, e.mesh_times)
 

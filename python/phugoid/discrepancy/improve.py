@@ -66,7 +66,7 @@ class ImprovementResult:
 
     @property
     def interrupted(self) -> bool:
-        """Tell whether Ctrl-C or the time limit ended the last diagnosis: a complete one may name other causes."""
+        """Return whether Ctrl-C or the time limit ended the last diagnosis: a complete one may name other causes."""
         return self.steps[-1].diagnosis.interrupted
 
     def summary(self) -> str:

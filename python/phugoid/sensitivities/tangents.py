@@ -37,7 +37,7 @@ def collocated(fit: FitResult) -> FitResult:
 
 
 def cheap(fit: FitResult, again: bool = False) -> bool:
-    """Tell whether a fit can be linearised in about the time of an estimation, and without an estimation unless
+    """Return whether a fit can be linearised in about the time of an estimation, and without an estimation unless
     ``again``: the tangents of large systems are large."""
     inner = fit._moved or fit
     at_hand = bool(fit.experiments) and isinstance(inner.transcription, Collocation) and inner.solution is not None
@@ -258,12 +258,12 @@ class Scores:
 
     @property
     def own(self) -> bool:
-        """Tell whether each experiment has noise of its own size."""
+        """Return whether each experiment has noise of its own size."""
         return isinstance(self._noise, PerExperiment) and len(self.linear.experiments) > 1
 
     @property
     def gaussian(self) -> bool:
-        """Tell whether the noise is Gaussian."""
+        """Return whether the noise is Gaussian."""
         noise = self._noise.noise if isinstance(self._noise, PerExperiment) else self._noise
         kinds = list(noise.outputs.values()) if isinstance(noise, PerOutput) else [noise]
         return all(isinstance(kind, Gaussian) for kind in kinds)

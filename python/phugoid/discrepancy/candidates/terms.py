@@ -191,7 +191,7 @@ class Term(Effect):
 
     @property
     def _is_about_zero(self) -> bool:
-        """Tell whether it is the square of what is positive, such as a rate of reaction and a drag have: about a trim
+        """Return whether it is the square of what is positive, such as a rate of reaction and a drag have: about a trim
         a constant would be needed beside it."""
         if self.form != "square" or not self.centred:
             return False

@@ -91,7 +91,7 @@ class ChannelMisfit:
 
     @property
     def within_resolution(self) -> bool:
-        """Tell whether the residuals are what rounding to the steps of the sensor explains."""
+        """Return whether the residuals are what rounding to the steps of the sensor explains."""
         return self.rms <= WITHIN * self.resolution
 
     @property
@@ -109,12 +109,12 @@ class ChannelMisfit:
 
     @property
     def coloured(self) -> bool:
-        """Tell whether the residuals are not white."""
+        """Return whether the residuals are not white."""
         return self.white < _ALPHA
 
     @property
     def biased(self) -> bool:
-        """Tell whether their mean is off zero."""
+        """Return whether their mean is off zero."""
         from scipy.special import stdtr
 
         if not self.mean_error > 0.0:
@@ -145,7 +145,7 @@ class ChannelMisfit:
 
     @property
     def structured(self) -> bool:
-        """Tell whether anything stands out from white noise."""
+        """Return whether anything stands out from white noise."""
         return bool(self.coloured or self.biased or self.spans or self.tones or self.regime or self.follows)
 
     def summary(self) -> str:

@@ -68,7 +68,7 @@ class Misfit:
 
     @property
     def structured(self) -> bool:
-        """Tell whether anything stands out from white noise, in any channel."""
+        """Return whether anything stands out from white noise, in any channel."""
         return any(c.structured for c in self.channels.values())
 
     def summary(self) -> str:

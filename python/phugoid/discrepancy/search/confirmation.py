@@ -111,7 +111,7 @@ class Refitting:
                     break
 
     def _apart(self, at: Refit, one: Candidate, other: Candidate) -> bool:
-        """Tell whether the estimates of two candidates hardly depend on each other: none casts doubt on the other."""
+        """Return whether the estimates of two candidates hardly depend on each other: none casts doubt on the other."""
         return at.own.correlation(one.parameters, other.parameters) < self.settings.apart
 
     def rivals(self, at: Refit, candidate: Candidate, fit: bool = True) -> list[tuple[Refit, float]]:
@@ -262,7 +262,7 @@ class Confirmation:
         return None, unexplained
 
     def _is_progress(self, current: Refit, found: Refit) -> bool:
-        """Tell whether a refit has more than the current one: what explains next to nothing displaces no earlier
+        """Return whether a refit has more than the current one: what explains next to nothing displaces no earlier
         finding, unless it explains most of what that leaves, or is likelier with plainer terms: a derivative of the
         input and one of a rate act together like the input with a lag."""
         names, assess = {*current.names}, self._assessment
@@ -276,7 +276,7 @@ class Confirmation:
         return assess.explains_what_is_left(current, found)
 
     def _is_credible(self, current: Refit, found: Refit) -> bool:
-        """Tell whether the new terms of a refit are within what is physical, or explain more than a minor finding
+        """Return whether the new terms of a refit are within what is physical, or explain more than a minor finding
         does: in what others leave, little is explained best by terms that no vehicle has."""
         if all(is_physical(found, c) for c in found.beside(current.candidates)):
             return True
@@ -285,7 +285,7 @@ class Confirmation:
 
     @staticmethod
     def _is_plainer(current: Refit, found: Refit) -> bool:
-        """Tell whether the terms that a refit has instead of those of another are plainer, with no more unknowns."""
+        """Return whether the terms that a refit has instead of those of another are plainer, with no more unknowns."""
         new, gone = found.beside(current.candidates), current.beside(found.candidates)
         unknowns = [sum(len(c.parameters) for c in terms) for terms in (new, gone)]
         return unknowns[0] <= unknowns[1] and max(map(complexity, new), default=-1) < min(map(complexity, gone))

@@ -30,7 +30,7 @@ _AHEAD, _ALONE = 4.0, 9.0
 
 
 def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
-    """Tell whether the signal of a candidate in an output goes with the noise of that output only by what was not
+    """Return whether the signal of a candidate in an output goes with the noise of that output only by what was not
     determined before each sample, so that it follows the noise: of two coefficients in place of one, for what its past
     and that of the residuals predict and for the rest, the first is likelier to be zero than to equal the second."""
     if candidate.place.kind != "output" or len(candidate.coefficients) != 1:

@@ -267,7 +267,7 @@ class DiagnosisResult:
 
     @property
     def found(self) -> bool:
-        """Tell whether a cause is named."""
+        """Return whether a cause is named."""
         return any(f.status == "named" for f in self.findings)
 
     @property
@@ -299,7 +299,7 @@ class DiagnosisResult:
 
     @property
     def is_extended(self) -> bool:
-        """Tell whether the extended model has all named causes; disturbances and faults of the data have no term."""
+        """Return whether the extended model has all named causes; disturbances and faults of the data have no term."""
         added = () if self._extension is None else self._extension.added
         return self.found and all(f.cause in added for f in self.findings if f.status == "named")
 

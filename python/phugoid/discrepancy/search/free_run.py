@@ -54,12 +54,12 @@ class Explained:
 
     @property
     def significant(self) -> bool:
-        """Tell whether the simulation becomes better beyond chance."""
+        """Return whether the simulation becomes better beyond chance."""
         return self.interval[0] > 0.0
 
     @property
     def worse(self) -> bool:
-        """Tell whether the simulation becomes worse beyond chance."""
+        """Return whether the simulation becomes worse beyond chance."""
         return self.interval[1] < 0.0
 
 

@@ -221,7 +221,7 @@ def _misfit(of: Refit, at: Refit) -> float:
 
 
 def is_disturbed(at: Refit, of: Disturbance, structure: float, margin: float) -> bool:
-    """Tell whether residuals have structure, and more as a disturbance there than as coloured noise, to first
+    """Return whether residuals have structure, and more as a disturbance there than as coloured noise, to first
     order or by the filter-error method."""
     histories = histories_at(at, of.place) if is_structured(at, structure) else []
     if not histories:
@@ -233,7 +233,7 @@ def is_disturbed(at: Refit, of: Disturbance, structure: float, margin: float) ->
 
 
 def _in_validation(cache: RefitCache, without: Refit, of: Disturbance, structure: float, margin: float) -> bool:
-    """Tell whether data held out have the disturbance, too, by the parameters of records without the event."""
+    """Return whether data held out have the disturbance, too, by the parameters of records without the event."""
     try:
         linear = on_other_data(without, cache.validation, None, cache.biases)
     except PhugoidError:

@@ -138,7 +138,7 @@ class RecordChange:
 
     @property
     def is_scale(self) -> bool:
-        """Tell whether it is the scale of a sensor."""
+        """Return whether it is the scale of a sensor."""
         return self.place.kind == "output" and ":scale_" in self.name
 
 

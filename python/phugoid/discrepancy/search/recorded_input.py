@@ -165,7 +165,7 @@ def _explaining(one: RecordedInput, base: Refit) -> RecordedInput | None:
 
 
 def _counts(explained: Explained) -> bool:
-    """Tell whether it explains more than a minor finding does, and more than chance."""
+    """Return whether it explains more than a minor finding does, and more than chance."""
     return explained.significant and explained.part >= AssessmentSettings().minor
 
 

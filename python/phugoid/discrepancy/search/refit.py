@@ -396,7 +396,7 @@ def gain_on_other_data(base: Linearised, more: Linearised) -> HeldOut:
 
 
 def is_structured(at: Refit, least: float) -> bool:
-    """Tell whether the past of any output's residuals predicts more than this part of their power."""
+    """Return whether the past of any output's residuals predicts more than this part of their power."""
     linear = at.linear
     filter = Whitening.of(linear.residuals, linear.structure)
     for name, line, channel in zip(linear.model.output_names, linear.rows, filter.channels, strict=True):

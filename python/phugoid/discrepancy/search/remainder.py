@@ -104,12 +104,12 @@ class Remainder:
 
     @property
     def is_noise(self) -> bool:
-        """Tell whether it is a stationary random disturbance."""
+        """Return whether it is a stationary random disturbance."""
         return self.disturbance.kind == "noise" and not self.is_unknown
 
     @property
     def is_unknown(self) -> bool:
-        """Tell whether it describes a misfit whose cause is not known: a function, or what is no random disturbance."""
+        """Return whether it describes a misfit of unknown cause: a function, or what is no random disturbance."""
         return self.disturbance.kind == "function" or self.moves or self.bursts or self.oscillates
 
 

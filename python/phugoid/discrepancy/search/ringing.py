@@ -70,7 +70,7 @@ class Ringing:
 
 
 def is_near(frequency: float, mode: float) -> bool:
-    """Tell whether a frequency is that of a mode, as far as records tell; both in the same unit."""
+    """Return whether a frequency is that of a mode, as far as records tell; both in the same unit."""
     return abs(frequency - mode) < _NEAR * mode
 
 

@@ -223,8 +223,8 @@ def _bends(e: Experiment) -> NDArray[np.bool_]:
 
 
 def _is_slow(base: Refit, data: Sequence[Experiment], k: int) -> bool:
-    """Tell whether the fitted outputs hardly move within a block, beside the noise of its mean; but for blocks in which
-    an input jumps."""
+    """Return whether the fitted outputs hardly move within a block, compared with the noise of its mean; blocks in
+    which an input jumps do not count."""
     filter = base.own.filter
     assert isinstance(filter, Whitening)  # channel by channel
     for name, channel in zip(base.linear.model.output_names, filter.channels, strict=True):
@@ -240,7 +240,7 @@ def _is_slow(base: Refit, data: Sequence[Experiment], k: int) -> bool:
 
 
 def _is_empty_above(base: Refit, k: int) -> bool:
-    """Tell whether the residuals' spectrum has no peak above the frequencies that blocks of k samples leave."""
+    """Return whether the residuals' spectrum has no peak above the frequencies that blocks of k samples leave."""
     from scipy.signal import welch
 
     for name in base.linear.model.output_names:

@@ -249,7 +249,7 @@ def unsigned_sensor(fit: FitResult) -> UnsignedSensor | None:
 
 
 def _may_be_size(records: Sequence[NDArray[np.float64]]) -> bool:
-    """Tell whether values are never negative but for noise, and often near zero between larger ones."""
+    """Return whether values are never negative but for noise, and often near zero between larger ones."""
     largest = max((float(y.max()) for y in records), default=0.0)
     if largest <= 0.0 or any(float(y.min()) < -_BELOW * noise_of(y) for y in records):
         return False

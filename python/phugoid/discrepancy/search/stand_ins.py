@@ -40,7 +40,7 @@ _LOST = 0.015
 
 
 def is_motion(at: Refit, least: float) -> bool:
-    """Tell whether the residuals of any output persist so much, above the resolution of its sensor."""
+    """Return whether the residuals of any output persist so much, above the resolution of its sensor."""
     linear = at.linear
     for name, line, lasting in zip(linear.model.output_names, linear.rows, persistence(at), strict=True):
         power = float(np.mean(linear.residuals[line[0].start : line[-1].stop] ** 2))
@@ -149,7 +149,7 @@ def _is_sure(found: Found, sure: float) -> bool:
 
 
 def _of_its_own(found: Found, most: float) -> bool:
-    """Tell whether a term of one output explains that much of the misfit there: what is wrong with the others is no
+    """Return whether a term of one output explains that much of the misfit there: what is wrong with the others is no
     business of a sensor's."""
     c = found.candidate
     if c is None or c.place.kind != "output" or found.explained is None:

@@ -251,7 +251,7 @@ def _residuals(fit: FitResult) -> list[tuple[str, Picture]]:
 def _validation(v: Validation) -> dict[str, Any]:
     """Return what was fixed and re-estimated, and the goodness of fit of each output in numbers, words and figures."""
     names = ", ".join(f"'{r.name}'" for r in v.records)
-    freed = [f"{e.name} = {plus_minus(e.value, e.std_error)} {e.unit}".rstrip() for e in v.freed.values()]
+    freed = [f"{e.name} = {plus_minus(e.value, e.std_error)} {e.unit}".rstrip() for e in v.re_estimated.values()]
     new = f", which {'was' if len(v.records) == 1 else 'were'} not fitted to,"
     text = (
         f"The fitted model on {names}{'' if set(v.fitted_to) & {r.name for r in v.records} else new} with parameters "

@@ -187,7 +187,7 @@ def _validation_facts(fit: Fit, result: Validation) -> dict[str, Any]:
         "matches": match_facts(result.matches),
         "tolerances": {n: vars(each) for n, each in result.tolerances.items()},
         "inside_tolerance": inside,
-        "freed": {n: {"value": e.value, "std_error": e.std_error} for n, e in result.freed.items()},
+        "re_estimated": {n: {"value": e.value, "std_error": e.std_error} for n, e in result.re_estimated.items()},
         "warnings": list(result.warnings),
     }
 
@@ -277,7 +277,7 @@ def _diagnosis_facts(found: Diagnosis[Fit]) -> dict[str, Any]:
         "explained_interval",
         "explained_another",
         "explained_outputs",
-        "rivals_explained",
+        "alternatives_explained",
         "threshold",
         "explanation",
         "advice",

@@ -201,15 +201,15 @@ def finding_lines(finding: Finding) -> list[str]:
             "Together with the other causes it does not improve the prediction of held-out data; it is doubtful."
         )
     if finding.aliases:
-        rivals = [
-            f"{name} (gain {with_sign(finding.rivals[name])})" if name in finding.rivals else name
+        others = [
+            f"{name} (gain {with_sign(finding.alternatives[name])})" if name in finding.alternatives else name
             for name in finding.aliases
         ]
         doubted = "is not proved" if finding.ringing else "does not predict held-out data"
         told = "The data do not distinguish it from" if finding.cause else f"What fits, but {doubted}"
         if finding.curve and not finding.cause:
             told = "Name of this candidate"
-        lines.append(f"{told}: {', '.join(rivals)}.")
+        lines.append(f"{told}: {', '.join(others)}.")
     if finding.advice:
         lines.append(finding.advice)
     return lines
@@ -374,13 +374,13 @@ def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
 
 
 def _cause(finding: Finding, time: TimeUnit) -> dict[str, Any]:
-    gains = {finding.cause: finding.gain, **{n: finding.rivals.get(n, float("nan")) for n in finding.aliases}}
+    gains = {finding.cause: finding.gain, **{n: finding.alternatives.get(n, float("nan")) for n in finding.aliases}}
     rows = [[name, with_sign(gain)] for name, gain in gains.items()] if finding.cause and finding.aliases else []
     return {
         "name": alias_set(finding),
         "status": finding.status,
         "lines": finding_lines(finding),
-        "rivals": PageTable(["candidate", "gain in log-likelihood"], rows, "lr"),
+        "alternatives": PageTable(["candidate", "gain in log-likelihood"], rows, "lr"),
         "curve": picture(*(curve_figure(finding, time, width)[0] for width in _WIDTHS)) if finding.curve else None,
     }
 

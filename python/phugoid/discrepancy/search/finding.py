@@ -14,6 +14,7 @@ from ...fit_result import FitResult
 from ...modelling.model import Model
 from ...notebook import notebook_page, paragraph, sparkline, table
 from ...parameters import plus_minus, text_table
+from ...renamed import Renamed
 from ..misfit import ChannelMisfit
 from ..misfit.misfit import Misfit, misfit
 
@@ -79,7 +80,7 @@ class Finding:
     explanation    of the cause, in plain words.
     advice         which manoeuvre would distinguish it from its aliases, or that none of those tried would; "" without
                    aliases, or where no manoeuvre stays within the envelope of the records.
-    rivals         alias -> gain in log-likelihood that it would have in place of the cause.
+    alternatives   candidate -> gain in log-likelihood that it would have in place of the cause.
     units          parameter -> unit, for words.
     ringing        Hz, of lightly damped modes of the model at which the residuals ring, where the misfit is that and is
                    unexplained; ``gain`` is then by noise that does not ring.
@@ -91,7 +92,7 @@ class Finding:
     explained_interval   of 95 %, by a block bootstrap over time.
     explained_another    95 % prediction interval of that part on another record of the same kind and length.
     explained_outputs    output -> by how much its mean square falls, in parts of that of the model diagnosed.
-    rivals_explained     alias -> part of the misfit that it would explain in place of the cause.
+    alternatives_explained   candidate -> part of the misfit that it would explain in place of the cause.
     curve          of a disturbance or an unknown function: what is added to its place, ``"value"``, with standard
                    deviations, ``"error"``, at times (s) or values of the variable, ``"at"``; all (k,). Else empty.
     """
@@ -109,7 +110,7 @@ class Finding:
     threshold: float = math.nan
     explanation: str
     advice: str = ""
-    rivals: Mapping[str, float] = field(default_factory=dict)
+    alternatives: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     ringing: tuple[float, ...] = ()
     explained: float = math.nan
@@ -117,8 +118,11 @@ class Finding:
     explained_interval: tuple[float, float] = (math.nan, math.nan)
     explained_another: tuple[float, float] = (math.nan, math.nan)
     explained_outputs: Mapping[str, float] = field(default_factory=dict)
-    rivals_explained: Mapping[str, float] = field(default_factory=dict)
+    alternatives_explained: Mapping[str, float] = field(default_factory=dict)
     curve: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    rivals = Renamed("alternatives")
+    rivals_explained = Renamed("alternatives_explained")
 
     def cells(self) -> dict[str, str]:
         """Return what tables in notebooks show of it: a short text by heading, "" where there is none."""

@@ -72,7 +72,7 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
             threshold=found.threshold,
             explanation=_rings(found.ringing, result.final.fit.model.time_unit) if found.ringing else _UNEXPLAINED,
             advice=_AGAIN if found.ringing else "",
-            rivals=dict(found.rivals),
+            alternatives=dict(found.rivals),
             ringing=found.ringing,
         )
     c = found.candidate
@@ -96,9 +96,9 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
         threshold=found.threshold,
         explanation=c.explanation + (_STANDS_IN if stands_in else _remark(c, parameters, plausible)),
         units={n: final.fit.parameters[n].unit for n in parameters},
-        rivals=dict(found.rivals),
+        alternatives=dict(found.rivals),
         **_simulated(explained),
-        rivals_explained=dict(found.rivals_explained),
+        alternatives_explained=dict(found.rivals_explained),
     )
 
 
@@ -177,7 +177,7 @@ def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Find
         threshold=threshold,
         explanation=_explanation(r, fit.model.time_unit),
         advice=_advice(r),
-        rivals=dict(r.rivals),
+        alternatives=dict(r.rivals),
         units={label: unit} if named and d.kind == "noise" else {},
         **_simulated(r.explained),
         curve={
@@ -226,7 +226,7 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, model: Model) 
         cause=h.cause,
         status="named",
         aliases=tuple(h.rivals)[:_ALIASES],
-        rivals=h.rivals,
+        alternatives=h.rivals,
         coefficient=rate,
         std_error=error,
         interval=(rate - half, rate + half),

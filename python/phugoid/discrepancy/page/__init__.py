@@ -8,11 +8,10 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from ...figures import NARROW, WIDTH
 from ...figures.fit import sigmas_of
 from ...modelling.model import Model
 from ...notebook import equation
-from ...pages import PageTable, histories, picture, render, sources
+from ...pages import WIDTHS, PageTable, histories, picture, render, sources
 from ...parameters import Estimate
 from ...time_unit import SECONDS, TimeUnit
 from ...writing import PAGES, check_folder, check_suffix, write
@@ -38,7 +37,6 @@ __all__ = [
 Outcome = Literal["named", "nothing", "unexplained"]
 
 _WIDTH = 110
-_WIDTHS = (WIDTH, NARROW)  # of each figure of the page, in inches
 # Of the residuals' power, what can be predicted and is most of it.
 _MOSTLY = 0.9
 # Ratio of residuals to their noise, from which on what named causes leave is worth a word.
@@ -345,7 +343,7 @@ def _explained(diagnosis: DiagnosisResult) -> Any:
     """Return the figure that tells the verdict; None where no finding has a part of the misfit that it explains."""
     if not any(f.explained == f.explained for f in diagnosis.findings):
         return None
-    return picture(*(explained_figure(diagnosis.findings, width)[0] for width in _WIDTHS))
+    return picture(*(explained_figure(diagnosis.findings, width)[0] for width in WIDTHS))
 
 
 def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
@@ -358,7 +356,7 @@ def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
     pictures = [
         (
             f"Residuals of {n}: {what_stands_out(found.channels[n])}",
-            picture(*(misfit_figure(found, [n], width)[0] for width in _WIDTHS)),
+            picture(*(misfit_figure(found, [n], width)[0] for width in WIDTHS)),
         )
         for n in found.worst[:_SHOWN]
     ]
@@ -381,7 +379,7 @@ def _cause(finding: Finding, time: TimeUnit) -> dict[str, Any]:
         "status": finding.status,
         "lines": finding_lines(finding),
         "alternatives": PageTable(["candidate", "gain in log-likelihood"], rows, "lr"),
-        "curve": picture(*(curve_figure(finding, time, width)[0] for width in _WIDTHS)) if finding.curve else None,
+        "curve": picture(*(curve_figure(finding, time, width)[0] for width in WIDTHS)) if finding.curve else None,
     }
 
 
@@ -393,7 +391,7 @@ def _evidence(diagnosis: DiagnosisResult) -> dict[str, Any]:
         rows.append([s.name, *numbers, s.explanation, s.remark])
     heads = ["candidate", "statistic", "ranking", "white", "distinct", "explanation", "remark"]
     return {
-        "picture": picture(*(ranking_figure(ranking, diagnosis.threshold, width)[0] for width in _WIDTHS)),
+        "picture": picture(*(ranking_figure(ranking, diagnosis.threshold, width)[0] for width in WIDTHS)),
         "table": PageTable(heads, rows, "lrrrrtt"),
     }
 
@@ -450,8 +448,8 @@ def _gain(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[str, A
         "grown": ", ".join(name for name in gain.channels if gain.change(name, held_out=True) > _GROWN),
         "totals": PageTable(["total", "gain"], totals, "lr"),
         "channels": PageTable(heads, rows, "llrrrrrr"),
-        "overview": picture(*(gain_figure(gain, diagnosis.fit.model.units, width)[0] for width in _WIDTHS)),
-        "histories": picture(*(findings_figure(diagnosis.fit, extension, None, width)[0] for width in _WIDTHS)),
+        "overview": picture(*(gain_figure(gain, diagnosis.fit.model.units, width)[0] for width in WIDTHS)),
+        "histories": picture(*(findings_figure(diagnosis.fit, extension, None, width)[0] for width in WIDTHS)),
     }
 
 

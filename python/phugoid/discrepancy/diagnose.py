@@ -1,4 +1,4 @@
-"""Find what a fitted model is missing."""
+"""The diagnosis: the search for what a fitted model is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Diagnoses a model, puts in what is named, and diagnoses again, until nothing more is named."""
+"""Repeated diagnosis: named causes are added to the model, until no further cause is named."""
 
 from __future__ import annotations
 

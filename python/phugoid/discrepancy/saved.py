@@ -25,7 +25,7 @@ def save_diagnosis(d: DiagnosisResult, path: str | os.PathLike[str]) -> None:
     extension = d.extend() if d.found else None
     payload = {
         "fit": fit_payload(d.fit),
-        "misfit": d.misfit.summary(),  # for whoever reads the file: it is told anew from the fit
+        "misfit": d.misfit.summary(),  # for those who read the file; computed again from the fit
         "findings": [vars(f) for f in d.findings],
         "ranking": [vars(s) for s in d.ranking],
         "threshold": d.threshold,

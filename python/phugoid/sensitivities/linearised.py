@@ -1,4 +1,4 @@
-"""A fit linearised: residuals, and how the outputs answer to parameters, initial states and forces."""
+"""A fit linearised: residuals, and the effects on the outputs of parameters, initial states and forces."""
 
 from __future__ import annotations
 

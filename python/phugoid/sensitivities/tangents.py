@@ -1,4 +1,4 @@
-"""Fits by collocation, and what they can still move in: the information, exact, on the tangent space."""
+"""Fits by collocation, and the exact information on the tangent space of their constraints."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def collocated_for(fit: FitResult, caller: str) -> FitResult:
     if isinstance(fit.transcription, FilterError):
         raise OptionError(
             f"{caller}: is not offered for fits with process noise (FilterError): their innovations are white where "
-            "the model is right, and their standard errors hold as they are"
+            "the model is right, and their standard errors need no correction"
         )
     if fit.status not in _ENDS:
         raise OptionError(f"{caller}: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}")

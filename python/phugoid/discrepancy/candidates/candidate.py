@@ -1,4 +1,4 @@
-"""One thing that a model may be missing."""
+"""A candidate for what a model may be missing: the base class."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Limits: states that go no further (an overflow, an end stop), forces that come to no more than one, and actuators
-whose answer depends on the past of their command (backlash, a limited rate)."""
+"""Limits of states (an overflow, an end stop) and of forces, and actuators with backlash or a limited rate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a model may be wrong, and what its equations may depend on."""
+"""The structure of a model: places at which a term may be missing, and variables that it may depend on."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ def value_of(finding: Finding) -> str:
 
 
 def _ends(low: float, high: float) -> tuple[str, str]:
-    """Return both ends with as many digits as tell them apart."""
+    """Return both ends with as many digits as distinguish them."""
     largest = max(abs(low), abs(high))
     digits = 3
     if high > low:
@@ -340,7 +340,7 @@ def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
 
 
 def _explained(diagnosis: DiagnosisResult) -> Any:
-    """Return the figure that tells the verdict; None where no finding has a part of the misfit that it explains."""
+    """Return the figure that shows the verdict; None where no finding has a part of the misfit that it explains."""
     if not any(f.explained == f.explained for f in diagnosis.findings):
         return None
     return picture(*(explained_figure(diagnosis.findings, width)[0] for width in WIDTHS))

@@ -1,5 +1,5 @@
-"""Inputs or outputs that were recorded by another clock than the rest: late by a constant time, and by more as time
-goes on.
+"""Inputs or outputs that were recorded with another clock than the rest: with an offset of time that changes during the
+record.
 
 Two recorders without a common time base differ by an offset and by a rate. An offset is a delay, which is among the
 candidates; a rate is not, and looks like a delay, a lag, or an effectiveness that drifts.

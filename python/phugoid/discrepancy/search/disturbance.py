@@ -1,4 +1,5 @@
-"""What no candidate is: a random disturbance, a noisy input, a single event, or an unknown function of one variable.
+"""Causes that are not terms of the model: a random disturbance, a noisy input, a single event, or an unknown function
+of one variable.
 
 Each is a random time history at one place of the model, or a random function there, with a marginal likelihood about a
 fit (`RandomEffects`); with white process noise that is the likelihood of the filter-error method, linearised. These

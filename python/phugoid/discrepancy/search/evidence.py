@@ -1,4 +1,4 @@
-"""The decision whether a cause is named: the evidence for it, and what that must be."""
+"""The decision whether a cause is named: its evidence, and the thresholds for it."""
 
 from __future__ import annotations
 
@@ -366,8 +366,8 @@ class Assessment:
         return held.gain > max(s.held_out, s.sure * held.deviation) and held.elsewhere > 0.0
 
     def held_out_rms(self, at: Refit, known: bool = False) -> dict[str, float]:
-        """Output -> RMS on the validation data of the model as it was fitted, first states and biases as they fit best;
-        empty without such data. With ``known`` only of what was fitted to them before."""
+        """Output -> RMS on the validation data of the model as it was fitted, initial states and biases as they fit
+        best; empty without such data. With ``known`` only of what was fitted to them before."""
         linear = self._cache.as_fitted(at, known=known)
         if linear is None:
             return {}

@@ -1,4 +1,4 @@
-"""What was found to be missing, the model with it, what that gains, and the diagnosis that holds them."""
+"""Findings of a diagnosis, the model extended by them, its gain, and the diagnosis that contains them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..misfit.misfit import Misfit, misfit
 
 __all__ = ["DiagnosisResult", "ExtensionResult", "Finding", "Gain", "Scored"]
 
-# Part of the residuals' power that their past predicts, from which on they are told to have structure.
+# Part of the residuals' power that their past predicts, from which on they are reported to have structure.
 _STRUCTURE = 0.05
 
 

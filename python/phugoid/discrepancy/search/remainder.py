@@ -1,4 +1,4 @@
-"""What is left beside the candidates: a disturbance, a noisy input, an event, or a function that has no name.
+"""The misfit that no candidate explains, as a disturbance, a noisy input, an event, or an unknown function.
 
 The search explains a misfit by terms of the physics. What it leaves, and whether the terms that it found stand in for
 something else, is decided here by one scale: the likelihood of the residuals, as coloured noise of the sensors, and

@@ -1,4 +1,4 @@
-"""Fits that ended at no optimum: estimated again, or with a term more, with which there is one."""
+"""Fits that ended at no optimum, estimated again or with one term more."""
 
 from __future__ import annotations
 

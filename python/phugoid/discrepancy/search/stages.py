@@ -1,6 +1,6 @@
-"""Stages of a diagnosis: suspects in the data, terms of the model, and what is left beside them.
+"""Stages of a diagnosis: faults of the data, terms of the model, and the remaining misfit.
 
-Each stage takes what is known so far and returns what is known after it; a suspect that is found in the data has all
+Each stage takes what is known so far and returns what is known after it; a fault that is found in the data has all
 that follows sought as if the data were so.
 """
 

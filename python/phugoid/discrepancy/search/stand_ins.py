@@ -1,4 +1,4 @@
-"""Named terms that stand in for something that no candidate describes, and whether residuals are a motion that the
+"""Named terms that are surrogates of something that no candidate describes, and whether residuals are a motion that the
 model does not have, or noise of a sensor.
 
 Of a misfit that has its cause outside of all candidates, the nearest of some hundred explains a part, significantly,

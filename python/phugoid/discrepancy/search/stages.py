@@ -24,7 +24,7 @@ from .refit import Refit, fitted_to
 from .remainder import Remainder, RemainderSettings, remainder_of
 from .scan import NEARLY, Scan
 from .segments import short_segments
-from .stand_ins import without_stand_ins
+from .surrogates import without_surrogates
 
 __all__ = [
     "Inquiry",
@@ -123,7 +123,7 @@ def stages(listed: Callable[[Refit], Sequence[Candidate]], differ: bool) -> list
         *([_optional(_with_record_changes)] if differ else []),
         _optional(_with_inputs_as_sampled),
         _optional(_with_remainder),
-        _without_stand_ins,
+        _without_surrogates,
     ]
 
 
@@ -296,8 +296,8 @@ def _with_remainder(state: Inquiry) -> Inquiry:
     return replace(state, result=result, remainder=remainder)
 
 
-def _without_stand_ins(state: Inquiry) -> Inquiry:
-    result, remainder = without_stand_ins(state.search, state.result, state.remainder)
+def _without_surrogates(state: Inquiry) -> Inquiry:
+    result, remainder = without_surrogates(state.search, state.result, state.remainder)
     return replace(state, result=result, remainder=remainder)
 
 

@@ -26,10 +26,10 @@ from .refit import Refit
 from .remainder import Remainder
 
 __all__ = [
-    "StandInSettings",
+    "SurrogateSettings",
     "is_motion",
     "persistence",
-    "without_stand_ins",
+    "without_surrogates",
 ]
 
 
@@ -98,7 +98,7 @@ def _at_lag(residuals: _Array, segments: Sequence[UniformSegment], steps: int) -
 
 
 @dataclass(frozen=True)
-class StandInSettings:
+class SurrogateSettings:
     """Set what terms must explain beside residuals that are error of the model.
 
     most        part of the misfit that all named terms explain together beyond doubt, else something else is larger.
@@ -113,13 +113,13 @@ class StandInSettings:
     persistent: float = 0.94
 
 
-def without_stand_ins(
-    search: Search, result: SearchResult, remainder: Remainder | None, settings: StandInSettings | None = None
+def without_surrogates(
+    search: Search, result: SearchResult, remainder: Remainder | None, settings: SurrogateSettings | None = None
 ) -> tuple[SearchResult, Remainder | None]:
     """Return a search's result with terms that stand in for something else listed as surrogates, and in the full model
     alone; and what is left, but for a random disturbance that was found beside such terms: what these stand in for is
     in it."""
-    s, final = settings or StandInSettings(), result.final
+    s, final = settings or SurrogateSettings(), result.final
     named = [f for f in result.found if f.candidate is not None and f.candidate.name in final.names]
     if not named:
         return result, remainder

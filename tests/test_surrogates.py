@@ -1,4 +1,5 @@
-"""Terms that stand in for something that no candidate describes, and what tells a motion from noise of a sensor."""
+"""Terms that are surrogates of something that no candidate describes, and how a motion is distinguished from noise of a
+sensor."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from phugoid.discrepancy.search import Search, SearchResult
 from phugoid.discrepancy.search.disturbance import histories_at
 from phugoid.discrepancy.search.refit import Refit
 from phugoid.discrepancy.search.remainder import Remainder
-from phugoid.discrepancy.search.stand_ins import StandInSettings, is_motion, persistence, without_stand_ins
+from phugoid.discrepancy.search.surrogates import SurrogateSettings, is_motion, persistence, without_surrogates
 from phugoid.residual_noise.whitening import Whitening
 from phugoid.sensitivities import Place
 from phugoid.sensitivities.tangents import collocated
@@ -53,7 +54,7 @@ def predictable(at: Refit) -> float:
 
 
 def test_a_motion_is_told_from_coloured_noise_at_any_sampling_rate() -> None:
-    least = StandInSettings.persistent
+    least = SurrogateSettings.persistent
     by_rate = []
     for every in (1, 2, 4):
         motion, noise = fitted(0.2, False, every), fitted(0.0, True, every)
@@ -104,16 +105,16 @@ def named(kind: str, cause: str) -> tuple[Search, SearchResult]:
 def test_a_term_that_leaves_a_larger_motion_is_a_surrogate() -> None:
     search, result = named(BUMP, "v':u^2")
     explained = search.assessment.explained(search.cache.base, result.final)
-    assert explained is not None and explained.interval[0] < StandInSettings.most
-    kept, remainder = without_stand_ins(search, result, None)
+    assert explained is not None and explained.interval[0] < SurrogateSettings.most
+    kept, remainder = without_surrogates(search, result, None)
     assert kept.surrogates == {"v':u^2"} and kept.final is search.cache.base and kept.full is result.full
     assert remainder is None
 
 
 def test_a_term_that_leaves_noise_is_a_cause() -> None:
     search, result = named(CUBE, "v':x^3")
-    assert not is_motion(result.final, StandInSettings.persistent)
-    assert without_stand_ins(search, result, None) == (result, None)
+    assert not is_motion(result.final, SurrogateSettings.persistent)
+    assert without_surrogates(search, result, None) == (result, None)
 
 
 def test_a_random_disturbance_beside_a_stand_in_is_not_told() -> None:
@@ -121,24 +122,24 @@ def test_a_random_disturbance_beside_a_stand_in_is_not_told() -> None:
     search, result = named(BUMP, "v':u^2")
     of = histories_at(result.final, Place("equation", "v"))[0]
     beside, alone = (Remainder(of, at, 100.0, float("nan")) for at in (result.final, search.cache.base))
-    assert without_stand_ins(search, result, beside)[1] is None
-    assert without_stand_ins(search, result, alone)[1] is alone
+    assert without_surrogates(search, result, beside)[1] is None
+    assert without_surrogates(search, result, alone)[1] is alone
 
 
 def test_a_likelier_function_takes_the_place_of_a_named_term() -> None:
     search, result = named(CUBE, "v':x^3")
     (found,) = result.found
     of = replace(histories_at(search.cache.base, Place("equation", "v"))[0], kind="function", variable="x")
-    assert found.explained is not None and found.explained.interval[0] > StandInSettings.sure
+    assert found.explained is not None and found.explained.interval[0] > SurrogateSettings.sure
     part = replace(found, explained=replace(found.explained, part=0.7, interval=(0.6, 0.8)))
     # Not of one that explains nearly all of the misfit beyond doubt.
     for term, times, surrogates in ((part, 0.5, set()), (part, 2.0, {"v':x^3"}), (found, 2.0, set())):
         remainder = Remainder(of, search.cache.base, times * found.gain, float("nan"))
-        kept, _ = without_stand_ins(search, replace(result, found=(term,)), remainder)
+        kept, _ = without_surrogates(search, replace(result, found=(term,)), remainder)
         assert kept.surrogates == surrogates
 
 
 def test_what_nothing_was_named_for_is_left_as_it_is() -> None:
     search, _ = named(CUBE, "v':x^3")
     nothing = SearchResult(search.cache.base, search.cache.base)
-    assert without_stand_ins(search, nothing, None) == (nothing, None)
+    assert without_surrogates(search, nothing, None) == (nothing, None)

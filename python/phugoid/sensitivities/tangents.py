@@ -66,7 +66,7 @@ _Array: TypeAlias = NDArray[np.float64]
 
 # Tangents whose singular value, in units of the noise, is below this part of the greatest are rounding.
 _NOTHING = 1e-9
-# Where variables tell of the space to less than this, others are taken.
+# Where variables determine the space to less than this, others are taken.
 _TOLD = 1e-5
 # A variable is at a bound within this fraction of its size, as `make_fit` has it.
 _AT_BOUND = 1e-6

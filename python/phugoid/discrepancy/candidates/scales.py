@@ -248,8 +248,8 @@ _SLOW = 0.02
 
 
 def _longest_delay(duration: float, interval: float) -> float:
-    """Return the longest delay that is looked for. A record shorter than 20 of them does not tell it; a sampling so
-    slow that 0.3 s is less than three intervals belongs to a slower system."""
+    """Return the longest delay that is looked for. A record shorter than 20 of them does not determine it; a sampling
+    so slow that 0.3 s is less than three intervals belongs to a slower system."""
     return min(max(_DELAY, 3.0 * interval), duration / 20.0)
 
 

@@ -105,11 +105,10 @@ def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
     """Return the manoeuvre that would best distinguish the cause in ``final`` from another one in its place, in each of
     ``rivals``.
 
-    Manoeuvres of each control that moved in the records are tried, the other inputs held, from the state in which the
-    first record begins. Those that leave the envelope of the records before they are over are not flown: what the
-    models say there is not known, and nobody would let an unstable vehicle go so far. That is chosen which tells the
-    cause from most rivals, of such the one with the greatest least gain. On a disturbance, which is another in another
-    record, there is no advice.
+    Manoeuvres of each control that moved in the records are tried, the other inputs constant, from the state in which
+    the first record begins. Those that leave the envelope of the records are not considered: the models are not known
+    to be valid there. The one chosen distinguishes the cause from most of ``rivals``; among equals it has the greatest
+    smallest gain. There is no advice on a disturbance, since that differs from record to record.
     """
     names = [next(n for n in r.names if n not in final.names) for r in rivals]
     nothing = Advice((), tuple(names), (), 0.0)

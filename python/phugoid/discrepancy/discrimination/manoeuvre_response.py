@@ -26,8 +26,8 @@ class BatchSimulation:
 
     Delays are those of each lane: inputs are taken from before, outputs put between the steps.
 
-    ``first`` are initial states (n_x,) and ``values`` parameters (n_p,) nearby: they tell how short steps have to be,
-    as do ``sizes`` (n_x,) of the states, greater than zero.
+    ``first`` are initial states (n_x,) and ``values`` parameters (n_p,) nearby, from which the step
+    length follows, and from ``sizes`` (n_x,) of the states, greater than zero.
     """
 
     def __init__(self, model: Model, t: _Array, values: _Array, first: _Array, trim: _Array, sizes: _Array) -> None:
@@ -242,7 +242,7 @@ class ManoeuvreResponse:
         return first
 
     def tangents(self, inputs: _Array) -> _Array:
-        """Return (M, k, n_y, N) changes of the outputs with each free parameter and first state, by its unit."""
+        """Return (M, k, n_y, N) changes of the outputs with each free parameter and initial state, by its unit."""
         n, k = inputs.shape[0], self.units.size
         moves = np.vstack([np.zeros(k), np.diag(self._small)])
         y, _ = self.simulate(inputs, np.tile(moves, (n, 1)), np.repeat(np.arange(n), k + 1))

@@ -31,7 +31,7 @@ _ITERATIONS, _ENOUGH, _FARTHEST = 10, 0.02, 40.0
 _SHARE = 0.1
 # A clock has a rate of its own where that moves the end of a record by more samples than this.
 _LEAST = 1.0
-# Samples on either side that tell the slope of an output.
+# Samples on either side from which the slope of an output is estimated.
 _NEAR = 3
 # Standard errors by which a rate differs from zero, or two from each other.
 _SURE = 3.0

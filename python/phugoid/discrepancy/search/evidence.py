@@ -32,7 +32,7 @@ __all__ = [
     "is_plausible",
 ]
 
-# Families of candidates that tell of the time in a record alone.
+# Families of candidates that depend on the time in a record alone.
 _DRIFTS = ("drift", "variation", "step")
 
 
@@ -56,7 +56,7 @@ class AssessmentSettings:
     plainly      times its threshold beyond which a gain is no random walk of a sensor.
     far          times the RMS of residuals on data held out, of that in the fit, beyond which the model is wrong there.
     moved        what two models differ by on data held out, as a sum of squares in units of the noise, below which
-                 these do not tell them from each other: the gain that the truer of them has is half of that.
+                 these do not distinguish them: the gain of the better one is half of that.
     """
 
     false_alarm: float = 0.01

@@ -106,7 +106,7 @@ def _root(gram: _Array) -> _Array:
     return np.asarray(unit[:, :, None] * vectors * inverse[:, None, :])
 
 
-# Candidates whose effect on the outputs is but this part their own cannot be told from the parameters there, or hardly.
+# Candidates of whose effect on the outputs only this part is their own are hardly distinguishable from parameters.
 CONFOUNDED, NEARLY = 0.003, 0.05
 # Terms that are taken out before the noise is modelled for ranking.
 _GREEDY = 3

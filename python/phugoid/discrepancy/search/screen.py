@@ -309,7 +309,7 @@ class Screen:
 
     def lasting(self, at: Refit, filter: Filter, count: int) -> list[Candidate]:
         """Return the best candidates through a filter, of those that another record has too: the phase of a disturbance
-        is for no other data to tell."""
+        has no meaning in other data."""
         scan = self._cache.scan(at)
         lasting = np.array([c.transferable for c, _ in scan.effects])
         return self._best(scan, scan.through(filter), count, lasting)

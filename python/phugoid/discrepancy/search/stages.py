@@ -259,8 +259,8 @@ def _with_record_changes(state: Inquiry) -> Inquiry:
 
 
 def _with_inputs_as_sampled(state: Inquiry) -> Inquiry:
-    """Return what the search finds once more with inputs between samples as the outputs tell, where these say that they
-    jumped there."""
+    """Return what the search finds once more with inputs between samples estimated from the outputs, where these show
+    that the inputs jumped there."""
     search, full = state.search, state.result.full
     cache = search.cache
     least = full.merit - search.chances(full) + RemainderSettings().margin

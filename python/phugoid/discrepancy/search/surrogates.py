@@ -2,8 +2,9 @@
 model does not have, or noise of a sensor.
 
 Of a misfit that has its cause outside of all candidates, the nearest of some hundred explains a part, significantly,
-and data held out confirm that part. What tells it from a cause is what it leaves. Beside a cause noise is left, or
-another cause is found; a stand-in leaves a motion that the model does not have, larger than what it explains.
+and data held out confirm that part. It is distinguished from a cause by the remaining residuals. Beside a cause they
+are noise, or another cause is found; beside a surrogate they are a motion that the model does not have, larger than
+what it explains.
 
 A motion persists over the time in which the vehicle itself hardly moves, noise of a sensor does not. The prediction
 from one sample to the next says less: of two records of one motion that with more samples is the better predicted,

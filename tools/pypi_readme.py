@@ -3,9 +3,9 @@ And put the addresses of the project into its metadata, for PyPI and for the cra
 
     python tools/pypi_readme.py https://HOST/OWNER/PROJECT REVISION
 
-changes README.md, pyproject.toml and rust/core/Cargo.toml in place. The workflow *Wheels* runs it with its own repository and revision before
-it builds; nobody else has to, and the change is not for committing. A picture becomes .../raw/REVISION/..., a file
-.../blob/REVISION/...
+changes README.md, pyproject.toml and rust/core/Cargo.toml in place. The workflow *Wheels* runs it with its own
+repository and revision before it builds; nobody else has to, and the change is not for committing. A picture becomes
+.../raw/REVISION/..., a file .../blob/REVISION/...
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def with_addresses(metadata: str, repository: str, revision: str) -> str:
 def with_repository(metadata: str, repository: str, _revision: str) -> str:
     """Return the text of the crate's Cargo.toml with the address of the project, beneath its licence.
 
-    >>> with_repository('[package]\nlicense.workspace = true\n', "https://host/me/phugoid/", "v1")
-    '[package]\nlicense.workspace = true\nrepository = "https://host/me/phugoid"\n'
+    >>> with_repository('license.workspace = true', "https://host/me/phugoid/", "v1").splitlines()
+    ['license.workspace = true', 'repository = "https://host/me/phugoid"']
     """
     others = re.sub(r"^repository\b.*\n", "", metadata, flags=re.M)
     return re.sub(r"^license\b.*$", rf'\g<0>\nrepository = "{repository.rstrip("/")}"', others, count=1, flags=re.M)

@@ -31,7 +31,7 @@ class Whitened:
 
     One step of generalised least squares from the fit: of all that differ from it by a tangent, the residuals most
     likely under the filter. To first order that is the maximum-likelihood estimate with coloured noise, whose standard
-    errors are honest where those of white noise are not.
+    errors are valid where those of white noise are not.
     """
 
     def __init__(self, linear: Linearised, filter: Filter) -> None:

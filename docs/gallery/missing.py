@@ -48,9 +48,13 @@ diagnosis = ph.diagnose(fit, validation=second)
 diagnosis
 
 # %%
-# Which candidates explain the misfit, to first order, and what the named one explains of held-out data:
+# Which candidates explain the misfit, to first order:
 
 figure, axes = diagnosis.plot_ranking()
+
+# %%
+# Which part of the misfit of held-out data the named one explains:
+
 figure, axes = diagnosis.plot()
 
 # %%

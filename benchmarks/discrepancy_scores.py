@@ -123,8 +123,8 @@ def diagnosed(seed: int, choice: dict, diagnose: Callable | None = None, leave_o
 
 
 def explains_as_much(case: hidden.Case, fit: Any, named: Any) -> bool:
-    """Tell whether a fit with other causes explains as much of the held-out record in free simulation as one with what
-    is hidden: whether the explained part of each lies in the interval of the other.
+    """Return whether a fit with other causes explains as much of the held-out record in free simulation as one with the
+    hidden effect: whether the explained part of each lies in the interval of the other.
 
     Many effects act alike in a band of frequencies and a range of motion: a lag and a delay, a rate's cube and its
     square with the sign. Then it is right to name either.
@@ -154,7 +154,7 @@ def explains_as_much(case: hidden.Case, fit: Any, named: Any) -> bool:
 
 
 def within(part: float, interval: tuple[float, float]) -> bool:
-    """Tell whether a number lies in an interval, or no further off than a part of 0.01."""
+    """Return whether a number lies in an interval, or no further off than a part of 0.01."""
     return interval[0] - 0.01 <= part <= interval[1] + 0.01
 
 

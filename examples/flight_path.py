@@ -102,7 +102,7 @@ def main() -> None:
     print("\nDelays in place of the boom:")
     for n in ("tau_alpha", "tau_beta", "K_alpha", "K_beta"):
         print(f"  {n} = {late.fit.parameters[n].value:.3f} ± {late.coloured_errors[n]:.3f}")
-    print(late.places)
+    print(late.vane_positions)
 
     short_period = attas.model(vane=False)
     raw = ph.equation_error(short_period, runs)

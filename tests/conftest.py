@@ -34,7 +34,7 @@ CAMPAIGNS: dict[str, int | str] = {
     "test_ringing.py::test_hardening_and_softening_are_named": 3,
     "test_ringing.py::test_sensor_noise_is_nothing": 2,
     "test_ringing.py::test_no_term_is_named_where_the_mass_is_shaken": 3,
-    "test_joint.py::test_turbulence_is_no_missing_physics": 2,
+    "test_multivariate_noise.py::test_turbulence_is_no_missing_physics": 2,
     "test_petab.py::test_published_points_have_their_published_likelihood_and_are_kept": 3,
     # In full size only: each takes half a minute and more. A constant force is named on a simulated cart too, in
     # test_free_simulation.py; the vane on one of the two records; a mode that softens in test_ringing.py; and dry

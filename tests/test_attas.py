@@ -29,7 +29,7 @@ def test_each_record_predicts_the_other() -> None:
     for own, other in ((first, second), (second, first)):
         there = attas.validate(attas.estimate(own), other)
         assert there.converged
-        assert set(there.held) == {*attas.SHARED, *attas.VANE}
+        assert set(there.fixed) == {*attas.SHARED, *attas.VANE}
         assert all(m.theil_about_mean < 0.05 for m in there.matches.values())
 
 

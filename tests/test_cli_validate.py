@@ -23,7 +23,7 @@ def test_fit_first_or_saved_gives_the_same(here: Path) -> None:
     assert first.exit_code == 0, first.output
     found = json.loads(first.stdout)
     assert found["log_likelihood"] == pytest.approx(expected.log_likelihood, rel=1e-6)
-    assert found["inside_tolerance"]["x"] > 0.9 and list(found["freed"]) == ["c"]
+    assert found["inside_tolerance"]["x"] > 0.9 and list(found["re_estimated"]) == ["c"]
     assert found["tolerances"] == {"x": {"absolute": 0.05, "relative": 0.0}}
     assert found["fit"]["experiments"][0]["name"] == "run1"
 

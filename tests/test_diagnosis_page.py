@@ -40,15 +40,15 @@ FINDING = Finding(
     threshold=17.0,
     explanation="Damping grows with the rate <b>itself</b> & more.",
     advice="A manoeuvre with rates of both signs.",
-    rivals={"q':q^2": 96.0},
+    alternatives={"q':q^2": 96.0},
 )
-SURROGATE = dataclasses.replace(FINDING, cause="de:scale", aliases=(), status="surrogate", rivals={}, advice="")
+SURROGATE = dataclasses.replace(FINDING, cause="de:scale", aliases=(), status="surrogate", alternatives={}, advice="")
 MINOR = dataclasses.replace(
     FINDING,
     cause="q:bias",
     aliases=(),
     status="minor",
-    rivals={},
+    alternatives={},
     explained=0.012,
     explained_interval=(-0.004, 0.03),
     explained_outputs={"q": 0.01, "theta": 0.002},
@@ -343,7 +343,7 @@ def test_explained_figure_has_named_causes_and_their_rivals() -> None:
         explained=0.8,
         explained_interval=(0.7, 0.85),
         explained_outputs={"q": 0.9, "theta": 0.2},
-        rivals_explained={"q':q^2": 0.6},
+        alternatives_explained={"q':q^2": 0.6},
     )
     figure, axes = explained_figure([named, MINOR, UNEXPLAINED])
     left = axes["explained"]

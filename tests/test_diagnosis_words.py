@@ -25,7 +25,7 @@ LAG = Finding(
     held_out_gain=31.5,
     threshold=9.9,
     explanation="CL follows alpha with a lag",
-    rivals={"CL:lag_q": 96.0},
+    alternatives={"CL:lag_q": 96.0},
     units={"tau": "s"},
 )
 

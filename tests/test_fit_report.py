@@ -20,7 +20,7 @@ from phugoid.parameters import Estimate, Estimates
 from phugoid.records import Record
 from phugoid.report import remarks
 
-VOID = {"meta", "img", "br"}
+VOID = {"meta", "img", "br", "source"}
 
 
 class Page(HTMLParser):

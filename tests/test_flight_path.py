@@ -260,7 +260,7 @@ def test_attas_vanes_on_the_boom_are_in_scale_and_regression_agrees_with_output_
     runs = example.records()
     path = example.reconstruct(runs)
     p, errors = path.fit.parameters, path.coloured_errors
-    assert path.fit.converged and path.places is None
+    assert path.fit.converged and path.vane_positions is None
     for n in ("K_alpha", "K_beta"):
         assert abs(p[n].value - 1.0) < errors[n] < 0.03
     regression = ph.equation_error(example.attas.model(vane=False), list(path.corrected)).parameters

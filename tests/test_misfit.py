@@ -279,7 +279,7 @@ def test_other_rates_are_left_out_and_told_of() -> None:
     other = dataclasses.replace(other, t=0.02 * np.arange(200))
     c = misfit(fit(record("a", az=white()), other)).channels["az"]
     assert c.lags[1] == pytest.approx(DT)
-    assert c.notes == ("az is sampled at another rate in 'b', which only its spans of large residuals look at",)
+    assert c.notes == ("az is sampled at another rate in 'b', which is used for spans of large residuals only",)
 
 
 @pytest.mark.parametrize("n", [3, 12, 29])

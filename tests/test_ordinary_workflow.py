@@ -74,7 +74,7 @@ def test_the_advice_of_validate_leads_on(fit: ph.Fit) -> None:
     with pytest.raises(ph.ModelError, match=r"biases=\['b', 'trim'\]"):
         fit.validate(other)
     found = fit.validate(other, biases=["b", "trim"])
-    assert abs(found.freed["trim"].value - 0.05) < 0.02
+    assert abs(found.re_estimated["trim"].value - 0.05) < 0.02
 
 
 def test_a_prediction_takes_values_of_its_own_run(fit: ph.Fit) -> None:

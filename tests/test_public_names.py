@@ -44,6 +44,24 @@ def test_inputs_are_in_design() -> None:
     assert inputs.doublet is ph.design.doublet
 
 
+@pytest.mark.parametrize(
+    ("kind", "old", "new"),
+    [
+        ("Finding", "rivals", "alternatives"),
+        ("Finding", "rivals_explained", "alternatives_explained"),
+        ("Reconstruction", "places", "vane_positions"),
+        ("Validation", "held", "fixed"),
+        ("Validation", "freed", "re_estimated"),
+    ],
+)
+def test_an_attribute_that_was_renamed_warns_and_works(kind: str, old: str, new: str) -> None:
+    result = getattr(ph.results, kind)
+    some = object.__new__(result)
+    vars(some)[new] = "the value"
+    with pytest.warns(DeprecationWarning, match=rf"{kind}\.{old} is now {kind}\.{new}"):
+        assert getattr(some, old) == "the value"
+
+
 @pytest.mark.parametrize(("old", "new"), [("Coloured", "CorrectedErrors"), ("VanePlaces", "VanePositions")])
 def test_a_result_that_was_renamed_warns_and_works(old: str, new: str) -> None:
     with pytest.warns(DeprecationWarning, match=rf"phugoid\.results\.{old} is now phugoid\.results\.{new}"):

@@ -67,13 +67,16 @@ def test_its_numbers_are_those_of_the_benchmarks(number: str) -> None:
 def test_links_become_absolute_where_relative_ones_do_not_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = tmp_path / "README.md"
     page.write_text(TEXT, encoding="utf-8")
-    metadata = tmp_path / "pyproject.toml"
-    metadata.write_text((pages.ROOT / "pyproject.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    metadata, crate = tmp_path / "pyproject.toml", tmp_path / "rust" / "core" / "Cargo.toml"
+    crate.parent.mkdir(parents=True)
+    for file in (metadata, crate):
+        file.write_text((pages.ROOT / file.relative_to(tmp_path)).read_text(encoding="utf-8"), encoding="utf-8")
     monkeypatch.setattr(pypi_readme, "ROOT", tmp_path)
     assert pypi_readme.main(["no address", "v1"]) == 2 and page.read_text(encoding="utf-8") == TEXT
     assert pypi_readme.main(["https://host/owner/project/", "v1"]) == 0
     once = metadata.read_text(encoding="utf-8")
     assert once.count("[project.urls]") == 1 and 'Repository = "https://host/owner/project"\n' in once
+    assert '\nrepository = "https://host/owner/project"\n' in crate.read_text(encoding="utf-8")
     assert pypi_readme.with_addresses(once, "https://host/owner/project", "v1") == once
     text = page.read_text(encoding="utf-8")
     targets = re.findall(r"\]\(([^)\s]+)\)", text)

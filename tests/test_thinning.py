@@ -48,7 +48,8 @@ def of(e: ph.Experiment, validation: tuple[ph.Experiment, ...] = ()) -> tuple[Re
 
 
 def test_means_say_as_much_as_the_samples() -> None:
-    base, found = of(record(1), (record(2),))
+    further = record(2).with_channels({"current": np.zeros(record(2).n)}, units={"current": "A"})  # the model has none
+    base, found = of(record(1), (further,))
     assert found is not None and found.factor > 8 and found.rate == pytest.approx(1.0 / STEP / found.factor)
     for name in ("d", "b"):
         before, after = (r.fit.parameters[name] for r in (base, found.base))

@@ -156,7 +156,7 @@ def test_what_stays_open_is_named() -> None:
     m.dynamics(x=v, v=u - v)
     m.outputs(x=x)
     point = ph.linear.trim(m, at={"u": 0.0}, start={"x": 7.0})
-    assert point["x"] == 7.0 and point.warnings == ("x is not determined by the equations: hold as you need",)
+    assert point["x"] == 7.0 and point.warnings == ("x is not determined by the equations: give a value",)
     assert ph.linear.trim(m, at={"u": 0.0, "x": 1.0}).warnings == ()
     moving = ph.linear.trim(m, at={"u": 3.0, "x": 0.0}, rates={"x": None})
     assert moving["v"] == pytest.approx(3.0)

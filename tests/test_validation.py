@@ -84,7 +84,7 @@ def test_log_likelihood_is_that_of_the_chi_square(trials: list[ph.results.Valida
 def test_standard_errors_cover_the_truth(trials: list[ph.results.Validation]) -> None:
     """Initial states and bias: squares of the errors in units of the standard error, and 95 % intervals."""
     for name, truth in {**FIRST, "b": TRUTH["b"]}.items():
-        each = [v.freed[name] if name == "b" else v.initial_states["other"][name] for v in trials]
+        each = [v.re_estimated[name] if name == "b" else v.initial_states["other"][name] for v in trials]
         z = np.array([(e.value - truth) / e.std_error for e in each])
         assert 1e-4 < chi2.cdf(float(z @ z), z.size) < 1 - 1e-4, name
         inside = int((np.abs(z) < 1.96).sum())
@@ -93,12 +93,12 @@ def test_standard_errors_cover_the_truth(trials: list[ph.results.Validation]) ->
 
 def test_what_is_held_does_not_move(fit: ph.Fit) -> None:
     v = fit.validate(record(1))
-    assert v.held == {name: fit.parameters[name].value for name in ("k", "c")}
-    assert v.freed.names == ("b",) and v.freed["b"].value != fit.parameters["b"].value
+    assert v.fixed == {name: fit.parameters[name].value for name in ("k", "c")}
+    assert v.re_estimated.names == ("b",) and v.re_estimated["b"].value != fit.parameters["b"].value
     assert v.noise == Gaussian({n: fit.parameters[f"sigma_{n}"].value for n in SIGMA})
     path = ph.simulate(
         oscillator(),
-        {**v.held, "b": v.freed["b"]},
+        {**v.fixed, "b": v.re_estimated["b"]},
         record(1),
         initial={n: e.value for n, e in v.initial_states["other"].items()},
     )
@@ -116,7 +116,7 @@ def test_initial_states_of_the_first_samples_then_simulation(fit: ph.Fit) -> Non
         assert other.records[0].outputs[name] == pytest.approx(v.records[0].outputs[name], abs=1e-6)
         assert v.residuals[name] == pytest.approx(e.output(name) - v.records[0].outputs[name])
         assert v.matches[name].samples == 120 and v.matches[name].rms < 2 * SIGMA[name] < other.matches[name].rms
-    assert v.freed["b"].std_error > 1.5 * fit.validate(e).freed["b"].std_error
+    assert v.re_estimated["b"].std_error > 1.5 * fit.validate(e).re_estimated["b"].std_error
     with pytest.raises(OptionError, match="initial_samples is a whole number from 1, not 0"):
         fit.validate(e, initial_samples=0)
 
@@ -138,22 +138,22 @@ def test_it_is_the_maximum_over_what_is_free(fit: ph.Fit) -> None:
     sigma = v.noise.known
 
     def log_likelihood(b: float, first: dict[str, float]) -> float:
-        r = ph.simulate(oscillator(), {**v.held, "b": b}, e, initial=first).residuals
+        r = ph.simulate(oscillator(), {**v.fixed, "b": b}, e, initial=first).residuals
         return -sum(0.5 * float(np.sum((r[n] / s) ** 2)) + e.n * math.log(s) for n, s in sigma.items())
 
     first = {n: x.value for n, x in v.initial_states["other"].items()}
-    best = log_likelihood(v.freed["b"].value, first)
+    best = log_likelihood(v.re_estimated["b"].value, first)
     assert v.log_likelihood == pytest.approx(best, abs=1e-5)
     for step in (-0.3, 0.3):
-        assert log_likelihood(v.freed["b"].value + step * v.freed["b"].std_error, first) < best - 0.02
+        assert log_likelihood(v.re_estimated["b"].value + step * v.re_estimated["b"].std_error, first) < best - 0.02
         for name, x in v.initial_states["other"].items():
             moved = {**first, name: x.value + step * x.std_error}
-            assert log_likelihood(v.freed["b"].value, moved) < best - 0.02
+            assert log_likelihood(v.re_estimated["b"].value, moved) < best - 0.02
 
 
 def test_no_bias_is_freed_if_so_asked(fit: ph.Fit) -> None:
     with_bias, without = fit.validate(record(1, bias=0.5)), fit.validate(record(1, bias=0.5), biases=())
-    assert not without.freed and without.held["b"] == fit.parameters["b"].value
+    assert not without.re_estimated and without.fixed["b"] == fit.parameters["b"].value
     assert without.degrees_of_freedom == with_bias.degrees_of_freedom + 1
     assert without.log_likelihood < with_bias.log_likelihood - 20
     assert without.matches["v"].bias > 0.5 > with_bias.matches["v"].bias
@@ -161,13 +161,13 @@ def test_no_bias_is_freed_if_so_asked(fit: ph.Fit) -> None:
 
 def test_any_parameter_can_be_freed_by_name(fit: ph.Fit) -> None:
     v = fit.validate(record(1), biases=["k"])
-    assert v.freed.names == ("k",) and set(v.held) == {"c", "b"}
+    assert v.re_estimated.names == ("k",) and set(v.fixed) == {"c", "b"}
     assert v.log_likelihood > fit.validate(record(1), biases=()).log_likelihood
 
 
 def test_a_value_may_be_given(fit: ph.Fit) -> None:
     v = fit.validate(record(1), values={"k": 3.0, "b": 0.3})
-    assert v.held["k"] == 3.0 and v.held["b"] == 0.3 and not v.freed
+    assert v.fixed["k"] == 3.0 and v.fixed["b"] == 0.3 and not v.re_estimated
     assert v.log_likelihood < fit.validate(record(1)).log_likelihood - 100
 
 
@@ -185,7 +185,7 @@ def test_a_parameter_at_its_bound_is_held_there() -> None:
     fit = ph.estimate(m, run.window(0, 6))
     assert fit.parameters["a"].bounds_active == "upper"
     v = fit.validate(run.window(6.1, 10, name="rest"))
-    assert v.converged and v.held["a"] == fit.parameters["a"].value
+    assert v.converged and v.fixed["a"] == fit.parameters["a"].value
 
 
 # The record that the fit was made on must give the fit back: held parameters are at their optimum
@@ -259,7 +259,7 @@ def test_on_its_own_record_it_is_the_fit(kind: str) -> None:
     assert v.converged
     # The multirate mesh and the refined one are found anew; others are the same.
     assert v.log_likelihood == pytest.approx(fit.log_likelihood, abs=1e-3 if kind == "refined" else 1e-5)
-    for name, e in v.freed.items():
+    for name, e in v.re_estimated.items():
         assert abs(e.value - fit.parameters[name].value) < 1e-3 * e.std_error
         assert e.std_error <= fit.parameters[name].std_error * 1.0001
     assert all("the fit was made on" in w for w in v.warnings) and len(v.warnings) == len(fit.records)
@@ -306,7 +306,7 @@ def test_process_noise_is_held() -> None:
     own = pair.filtered.validate(pair.data)
     assert own.log_likelihood == pytest.approx(pair.filtered.log_likelihood, abs=1e-6)
     v, ordinary = pair.filtered.validate(other), pair.ordinary.validate(other)
-    assert v.converged and v.held["q_wg"] == pair.filtered.parameters["q_wg"].value
+    assert v.converged and v.fixed["q_wg"] == pair.filtered.parameters["q_wg"].value
     assert v.log_likelihood > ordinary.log_likelihood + 1000
     for m in v.matches.values():
         assert 0.85 < m.rms / m.sigma < 1.15 and m.whiteness > 1e-3
@@ -336,9 +336,11 @@ def test_delays_are_held() -> None:
     assert own.log_likelihood == pytest.approx(fit.log_likelihood, abs=1e-4)
     v = fit.validate(run("second", 1.0))
     assert (
-        v.converged and v.held["tau"] == fit.parameters["tau"].value and v.held["late"] == fit.parameters["late"].value
+        v.converged
+        and v.fixed["tau"] == fit.parameters["tau"].value
+        and v.fixed["late"] == fit.parameters["late"].value
     )
-    assert abs(v.freed["b"].value - 0.5) < 4 * v.freed["b"].std_error
+    assert abs(v.re_estimated["b"].value - 0.5) < 4 * v.re_estimated["b"].std_error
     # The first samples of the late sensor reach back before the record, which leaves its residuals without them.
     samples = sum(int(np.isfinite(r).sum()) for r in v.records[0].residuals.values())
     assert 1e-4 < chi2.cdf(v.chi_square, samples - 2) < 1 - 1e-4
@@ -364,9 +366,9 @@ def test_several_experiments_with_biases_of_their_own() -> None:
     data = [record(5, "three", bias=0.1), record(6, "four", bias=-0.2, n=90)]
     both, alone = fit.validate(data), [fit.validate(e) for e in data]
     assert both.log_likelihood == pytest.approx(sum(v.log_likelihood for v in alone), abs=1e-6)
-    assert both.freed.names == ("b[three]", "b[four]")
+    assert both.re_estimated.names == ("b[three]", "b[four]")
     for v, e in zip(alone, data, strict=True):
-        assert both.freed[f"b[{e.name}]"].value == pytest.approx(v.freed["b"].value, abs=1e-7)
+        assert both.re_estimated[f"b[{e.name}]"].value == pytest.approx(v.re_estimated["b"].value, abs=1e-7)
         for name in SIGMA:
             assert both.by_experiment[e.name][name].rms == pytest.approx(v.matches[name].rms, abs=1e-7)
     assert both.matches["x"].samples == 210
@@ -456,8 +458,8 @@ def test_a_parameter_of_each_experiment_that_is_no_bias_needs_a_value() -> None:
     with pytest.raises(ModelError, match=r"its own 'x0'.*values=\{'x0': \.\.\.\}.*biases=\['x0'\]"):
         fit.validate(run("three", 0.4))
     given, freed = fit.validate(run("three", 0.4), values={"x0": 0.4}), fit.validate(run("three", 0.4), biases=["x0"])
-    assert given.held["x0"] == 0.4 and freed.freed.names == ("x0",)
-    assert abs(freed.freed["x0"].value - 0.4) < 0.01 < freed.log_likelihood - given.log_likelihood + 0.02
+    assert given.fixed["x0"] == 0.4 and freed.re_estimated.names == ("x0",)
+    assert abs(freed.re_estimated["x0"].value - 0.4) < 0.01 < freed.log_likelihood - given.log_likelihood + 0.02
     with pytest.raises(ModelError, match="Say 'x0', for all"):
         fit.validate(run("three", 0.4), biases=["x0[three]"])
 
@@ -552,7 +554,7 @@ def test_attas_record_one_on_record_two() -> None:
     best = ph.estimate(attas.model(), second, noise=same_noise, start=there)
     assert v.log_likelihood < best.log_likelihood
     for name in ("Z0", "M0", "b_az"):
-        assert abs(v.freed[name].value - there.parameters[name].value) < 0.05
+        assert abs(v.re_estimated[name].value - there.parameters[name].value) < 0.05
     # Flight residuals are coloured, and the test says so.
     assert all(m.lag_one > 0.5 and m.whiteness < 1e-3 for m in v.matches.values())
 
@@ -572,7 +574,7 @@ def test_hfb320_second_half_of_the_record() -> None:
     data = hfb320.experiment(path)
     fit = ph.estimate(hfb320.model(), data.window(0, 25, "first half"))
     v = fit.validate(data.window(25.1, 60, "second half"))
-    assert v.converged and not v.warnings and v.freed.names == ("b_q", "b_aq", "b_ax", "b_az")
+    assert v.converged and not v.warnings and v.re_estimated.names == ("b_q", "b_aq", "b_ax", "b_az")
     # Angle of attack and pitch rate hold; pitch attitude, which integrates the rate's error, drifts off.
     sizes = {n: m.rms / m.sigma for n, m in v.matches.items()}
     assert sizes["alpha"] < 1 and sizes["q"] < 1 < 3 < sizes["theta"]

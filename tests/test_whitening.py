@@ -39,10 +39,10 @@ def covariance(a: Sequence[float], sigma: float, n: int) -> np.ndarray:
     return np.asarray(toeplitz(gamma))
 
 
-def alone(strands: Sequence[Sequence[UniformSegment]]) -> RowStructure:
+def alone(segments: Sequence[Sequence[UniformSegment]]) -> RowStructure:
     """No two rows at the same time."""
-    together = [((i,), np.arange(s.rows.start, s.rows.stop)[:, None]) for i, line in enumerate(strands) for s in line]
-    return RowStructure(strands, together)
+    together = [((i,), np.arange(s.rows.start, s.rows.stop)[:, None]) for i, line in enumerate(segments) for s in line]
+    return RowStructure(segments, together)
 
 
 def one(*lengths: int) -> RowStructure:
@@ -55,17 +55,17 @@ def side_by_side(present: np.ndarray) -> RowStructure:
     """RowStructure of channels (n_y, n) at common times, output by output, where present."""
     numbers = np.full(present.shape, -1)
     numbers[present] = np.arange(int(present.sum()))
-    strands = []
+    segments = []
     for line, there in zip(numbers, present, strict=True):
         places = np.flatnonzero(there)
         first = int(line[places[0]])
-        strands.append([UniformSegment(slice(first, first + places.size), places - places[0])])
+        segments.append([UniformSegment(slice(first, first + places.size), places - places[0])])
     together = []
     for pattern in np.unique(present.T, axis=0):
         if pattern.any():
             which = np.flatnonzero(pattern)
             together.append((tuple(which.tolist()), numbers.T[(pattern == present.T).all(axis=1)][:, which]))
-    return RowStructure(strands, together)
+    return RowStructure(segments, together)
 
 
 # ---------------------------------------------------------------- one channel
@@ -138,7 +138,7 @@ def test_samples_on_a_grid_are_one_strand() -> None:
 
 
 def test_the_likelihood_is_that_of_the_process() -> None:
-    """Three channels, in strands with gaps short and long, against normal distributions with the covariance written
+    """Three channels, in segments with gaps short and long, against normal distributions with the covariance written
     out."""
     random = np.random.default_rng(0)
     tattered = np.flatnonzero(random.random(150) < 0.6)
@@ -148,21 +148,21 @@ def test_the_likelihood_is_that_of_the_process() -> None:
         [np.r_[:20, 90:100, 101, 250], np.r_[0:200:7, 200:210]],
     ]
     processes = [[1.6, -0.8], [0.9], [0.4, 0.3, -0.2, 0.1]]
-    strands: list[list[UniformSegment]] = []
+    segments: list[list[UniformSegment]] = []
     pieces, first = [], 0
     for i, line in enumerate(places):
-        strands.append([])
+        segments.append([])
         for k, at in enumerate(line):
-            strands[-1].append(UniformSegment(slice(first, first + at.size), at))
+            segments[-1].append(UniformSegment(slice(first, first + at.size), at))
             pieces.append(coloured(processes[i], int(at[-1]) + 1, 10 * i + k, 0.3)[at])
             first += at.size
     r = np.concatenate(pieces)
     channels = [burg([coloured(a, 5000, 77 + i, 0.3)]) for i, a in enumerate(processes)]
     assert all(channel.order >= len(a) for channel, a in zip(channels, processes, strict=True))
-    whitening = Whitening(channels, alone(strands))
+    whitening = Whitening(channels, alone(segments))
     densities = whitening.log_densities(whitening(r))
     blocks = []
-    for channel, line in zip(channels, strands, strict=True):
+    for channel, line in zip(channels, segments, strict=True):
         for strand in line:
             at, n = strand.places, strand.places.size
             whole = covariance(channel.predictors[-1], channel.sigmas[-1], int(at[-1]) + 1)

@@ -1,11 +1,11 @@
 """Make the links and pictures of the README absolute, as PyPI needs them: it shows neither relative pictures nor files.
-And put the addresses of the project into its metadata.
+And put the addresses of the project into its metadata, for PyPI and for the crate.
 
     python tools/pypi_readme.py https://HOST/OWNER/PROJECT REVISION
 
-changes README.md and pyproject.toml in place. The workflow *Wheels* runs it with its own repository and revision before
-it builds; nobody else has to, and the change is not for committing. A picture becomes .../raw/REVISION/..., a file
-.../blob/REVISION/...
+changes README.md, pyproject.toml and rust/core/Cargo.toml in place. The workflow *Wheels* runs it with its own
+repository and revision before it builds; nobody else has to, and the change is not for committing. A picture becomes
+.../raw/REVISION/..., a file .../blob/REVISION/...
 """
 
 from __future__ import annotations
@@ -61,12 +61,23 @@ def with_addresses(metadata: str, repository: str, revision: str) -> str:
     return f"{others.rstrip()}\n\n[project.urls]\n{lines}"
 
 
+def with_repository(metadata: str, repository: str, _revision: str) -> str:
+    """Return the text of the crate's Cargo.toml with the address of the project, beneath its licence.
+
+    >>> with_repository('license.workspace = true', "https://host/me/phugoid/", "v1").splitlines()
+    ['license.workspace = true', 'repository = "https://host/me/phugoid"']
+    """
+    others = re.sub(r"^repository\b.*\n", "", metadata, flags=re.M)
+    return re.sub(r"^license\b.*$", rf'\g<0>\nrepository = "{repository.rstrip("/")}"', others, count=1, flags=re.M)
+
+
 def main(arguments: list[str]) -> int:
-    """Change README.md and pyproject.toml, or say how this is called."""
+    """Change the files, or say how this is called."""
     if len(arguments) != 2 or not re.match(r"https?://[^/]+/.+", arguments[0]):
         print(__doc__, file=sys.stderr)
         return 2
-    for name, change in (("README.md", absolute), ("pyproject.toml", with_addresses)):
+    changes = {"README.md": absolute, "pyproject.toml": with_addresses, "rust/core/Cargo.toml": with_repository}
+    for name, change in changes.items():
         file = ROOT / name
         file.write_text(change(file.read_text(encoding="utf-8"), *arguments), encoding="utf-8")
     return 0

@@ -2,7 +2,7 @@
 Which manoeuvre?
 ================
 
-Four inputs for the short period of an aircraft are compared before any is flown: which standard errors of the
+Four inputs for the short period of an aircraft are compared before the flight: which standard errors of the
 derivatives are to be expected, and which input stays within the limits?
 """
 

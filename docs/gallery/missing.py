@@ -2,8 +2,8 @@
 What a model misses
 ===================
 
-The flown vehicle has quadratic damping; its model is linear. The fit converges, with small
-standard errors, and is wrong. Its residuals are not white, which shows it.
+The true vehicle has quadratic damping; its model is linear. The fit converges with small standard errors,
+although the model is wrong. Residuals that are not white show this.
 """
 
 import numpy as np
@@ -17,21 +17,21 @@ Mq, Mde = m.parameters(Mq=-1.0, Mde=-5.0)
 m.dynamics(q=Mq * q + Mde * de, theta=q)
 m.outputs(q=q, theta=theta)
 
-flown = ph.candidates(m)["q':q|q|"].extended(m)
-(hidden,) = set(flown.parameter_names) - set(m.parameter_names)
+true = ph.candidates(m)["q':q|q|"].extended(m)
+(hidden,) = set(true.parameter_names) - set(m.parameter_names)
 t = np.arange(0, 12, 0.05)
 random = np.random.default_rng(0)
 
 
-def fly(name: str, size: float) -> ph.Experiment:
-    """A record of the flown vehicle, with noise."""
+def record(name: str, size: float) -> ph.Experiment:
+    """Return a record of the true vehicle, with noise."""
     run = ph.Experiment(t, {"de": size * np.sign(np.sin(1.5 * t)) * np.sin(0.4 * t)}, name=name)
-    path = ph.simulate(flown, {"Mq": -2.0, "Mde": -6.0, hidden: -2.0}, run)
+    path = ph.simulate(true, {"Mq": -2.0, "Mde": -6.0, hidden: -2.0}, run)
     noisy = {n: y + 0.004 * random.standard_normal(t.size) for n, y in path.outputs.items()}
     return run.with_outputs(noisy)
 
 
-first, second = fly("first", 0.3), fly("second", 0.24)
+first, second = record("first", 0.3), record("second", 0.24)
 fit = ph.estimate(m, first)
 fit.parameters  # in truth Mq is -2
 
@@ -45,8 +45,17 @@ figure, axes = ph.misfit(fit).plot()
 # must predict the second record:
 
 diagnosis = ph.diagnose(fit, validation=second)
-print(diagnosis.summary())
-figures = diagnosis.figures()
+diagnosis
+
+# %%
+# Which candidates explain the misfit, to first order:
+
+figure, axes = diagnosis.plot_ranking()
+
+# %%
+# Which part of the misfit of held-out data the named one explains:
+
+figure, axes = diagnosis.plot()
 
 # %%
 

@@ -1,4 +1,4 @@
-"""Phugoid finds the parameters of flight vehicles, and of any system of ODEs, from measured data.
+"""Phugoid estimates the parameters of flight vehicles, and of any system of ODEs, from measured data.
 
 Output-error method (maximum likelihood) by Lobatto collocation, with Rust kernels:
 

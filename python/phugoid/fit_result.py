@@ -103,7 +103,7 @@ class FitResult:
 
     @property
     def feasible(self) -> bool:
-        """Tell whether the states satisfy the equations of the model. Where a run ended elsewhere, log-likelihood,
+        """Return whether the states satisfy the equations of the model. Where a run ended elsewhere, log-likelihood,
         standard errors and how well outputs match are NaN."""
         return all(record.feasible for record in self.records)
 

@@ -1,4 +1,4 @@
-"""Where an estimation starts: parameters as declared, states as measured."""
+"""Start values of an estimation: parameters as declared, states as measured."""
 
 from __future__ import annotations
 

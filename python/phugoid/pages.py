@@ -22,14 +22,14 @@ import phugoid._core as _core
 from .data.experiment import Experiment
 from .data.filtering import kind_of
 from .errors import DataError
-from .figures import labelled
+from .figures import NARROW, WIDTH, labelled
 from .records import Record
 from .time_unit import time_unit_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["PageTable", "Picture", "histories", "picture", "render", "sources"]
+__all__ = ["WIDTHS", "PageTable", "Picture", "histories", "picture", "render", "sources"]
 
 FloatArray = NDArray[np.float64]
 
@@ -38,6 +38,9 @@ _COLOURS = 128  # a palette of so many shades takes a third of the bytes, and lo
 _PIXELS = 96.0  # of a screen in an inch
 _SAMPLES = 3000  # drawn by the page's script; of more, every second one, or third, ...
 _STEPS = 5000  # into which the range of a channel is divided, where values are written with fewer digits
+WIDTHS = (WIDTH, NARROW)
+"""Inches, of a figure of a page: on a screen and in print, and on a phone."""
+
 _SMALL = 6.0  # inches; what is narrower is not drawn out to the width of the page
 
 

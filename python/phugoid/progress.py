@@ -44,7 +44,7 @@ class StatusLine:
 
     @property
     def is_overwritten(self) -> bool:
-        """Tell whether a text takes the place of the one before, so that texts may come often."""
+        """Return whether a text takes the place of the one before, so that texts may come often."""
         return self._terminal or self._notebook
 
     def show(self, text: str) -> None:

@@ -1,4 +1,4 @@
-"""Flight-path reconstruction: instrument errors from the kinematics, and the places of flow vanes."""
+"""Flight-path reconstruction: instrument errors from the kinematics, and the positions of flow vanes."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from .notebook import Rows, overview, sparkline
 from .parameters import Estimate, plus_minus, text_table
 from .records import Record
 from .regression.least_squares import SmoothingSpline
+from .renamed import Renamed
 from .result import Fit
 from .solvers import limited
 from .summary import corrected as with_coloured_errors
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Reconstruction", "VanePositions", "compare_places", "reconstruct"]
+__all__ = ["Reconstruction", "VanePositions", "compare_positions", "reconstruct"]
 
 
 _Array = NDArray[np.float64]
@@ -116,12 +117,12 @@ class VanePositions:
         return f"<Positions of vanes of {', '.join(self.channels)}: {self.gain:+.1f} ± {self.deviation:.1f}>"
 
 
-def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePositions | None:
-    """Compare a fit with another of the same records that estimates places; None where they do not compare."""
+def compare_positions(fit: Fit, positions: Fit, channels: Sequence[str]) -> VanePositions | None:
+    """Compare a fit with another of the same records that estimates positions; None where they do not compare."""
     usable = ENDED_WELL
-    if fit.status not in usable or places.status not in usable:
+    if fit.status not in usable or positions.status not in usable:
         return None
-    one, other = _log_densities(fit), _log_densities(places)
+    one, other = _log_densities(fit), _log_densities(positions)
     if one is None or other is None:
         return None
     gains = np.array(
@@ -129,7 +130,7 @@ def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePositi
     )
     delayed = tuple(c for c in channels if c in fit.model.delays.outputs)
     deviation = float(np.sqrt(gains.size) * np.std(gains, ddof=1))
-    return VanePositions(tuple(channels), delayed, places, float(gains.sum()), deviation)
+    return VanePositions(tuple(channels), delayed, positions, float(gains.sum()), deviation)
 
 
 def _log_densities(fit: Fit) -> list[_Array] | None:
@@ -189,18 +190,20 @@ _JUMP = np.pi
 class Reconstruction:
     """The result of `reconstruct`: sensor errors, and records without them.
 
-    fit        of the model of the flight path: biases, scale factors, delays; states are the path.
-    runs       the records that it was fitted to.
-    places     the fit with positions of vanes estimated in place of their delays, and which of the two the data prefer;
-               None where all positions were given or none is estimated (see `reconstruct`).
-    corrected  the records, corrected: specific forces at the centre of gravity and rates without bias, and V, alpha,
-               beta, phi, theta, ... as reconstructed; all other channels unchanged. They are the data of the next step,
-               in which forces and moments are functions of these.
+    fit             of the model of the flight path: biases, scale factors, delays; states are the path.
+    runs            the records that it was fitted to.
+    vane_positions  the fit with positions of vanes estimated in place of their delays, and which of the two the data
+                    prefer; None where all positions were given or none is estimated (see `reconstruct`).
+    corrected       the records, corrected: specific forces at the centre of gravity and rates without bias, and V,
+                    alpha, beta, phi, theta, ... as reconstructed; all other channels unchanged. They are the data of
+                    the next step, in which forces and moments are functions of these.
     """
 
     fit: Fit
     runs: tuple[Experiment, ...]
-    places: VanePositions | None = None
+    vane_positions: VanePositions | None = None
+
+    places = Renamed("vane_positions")
 
     @cached_property
     def corrected(self) -> tuple[Experiment, ...]:
@@ -219,15 +222,15 @@ class Reconstruction:
         lines = [f"Flight path of {self._names()}: {self._status()}"]
         lines += ["", text_table(*self._error_rows(again=True)), "", text_table(*self._match_rows())]
         lines += [f"Warning: {w}" for w in self.fit.warnings]
-        lines += ["", self.places.summary()] if self.places is not None else []
+        lines += ["", self.vane_positions.summary()] if self.vane_positions is not None else []
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
         first = self.fit.records[0]
         remarks = [*self.fit.warnings]
-        if self.places is not None:  # its summary takes too long for a notebook
-            other = f"log-likelihood {self.places.gain:+.0f} ± {self.places.deviation:.0f} on the same samples"
-            remarks.append(f"with positions of vanes estimated, as in places: {other}")
+        if (other := self.vane_positions) is not None:  # its summary takes too long for a notebook
+            gain = f"log-likelihood {other.gain:+.0f} ± {other.deviation:.0f} on the same samples"
+            remarks.append(f"with positions of vanes estimated, as in vane_positions: {gain}")
         return overview(
             f"Flight path of {self._names()}",
             self._error_rows(again=False),
@@ -300,8 +303,8 @@ def reconstruct(
 
     A vane ahead of the centre of gravity looks like a delayed one, and its position is usually known. So where the
     model is made here, and positions of vanes for alpha or beta among the outputs are not given (``alpha_vane``,
-    ``beta_vane``), these are estimated as well, in a second fit without their delays: ``places`` of the result holds
-    this fit and which of the two fits better. The corrected records are those of the fit that was asked for.
+    ``beta_vane``), these are estimated as well, in a second fit without their delays: ``vane_positions`` of the result
+    holds this fit and which of the two fits better. The corrected records are those of the fit that was asked for.
 
     psi is unwrapped where it jumps by a whole turn. With the accelerometers off the centre of gravity, angular
     accelerations that are not in the record are those of smoothing splines through p, q and r.
@@ -348,7 +351,7 @@ def _with_vane_positions(
         found = estimate(other, runs, start=begin, noise=noise)
     except PhugoidError:  # the fit that was asked for exists
         return None
-    return compare_places(fit, found, channels)
+    return compare_positions(fit, found, channels)
 
 
 def _outputs(runs: Sequence[Experiment], longitudinal: bool) -> list[str]:

@@ -15,7 +15,7 @@ from .figures.estimates import plot_convergence, plot_parameters
 from .fit_result import FitResult
 from .goodness_of_fit import Match, match
 from .notebook import equation
-from .pages import PageTable, Picture, histories, picture, render, sources
+from .pages import WIDTHS, PageTable, Picture, histories, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
 from .summary import corrected
 from .uncertainty.correlation import correlation, plot_correlation
@@ -244,14 +244,14 @@ def _residuals(fit: FitResult) -> list[tuple[str, Picture]]:
     found = []
     for i, record in enumerate(fit.records[:_FIGURES]):
         with contextlib.suppress(DataError):  # nothing was measured
-            found.append((record.name, picture(plot_residuals(fit, i)[0])))
+            found.append((record.name, picture(*(plot_residuals(fit, i, width=w)[0] for w in WIDTHS))))
     return found
 
 
 def _validation(v: Validation) -> dict[str, Any]:
     """Return what was fixed and re-estimated, and the goodness of fit of each output in numbers, words and figures."""
     names = ", ".join(f"'{r.name}'" for r in v.records)
-    freed = [f"{e.name} = {plus_minus(e.value, e.std_error)} {e.unit}".rstrip() for e in v.freed.values()]
+    freed = [f"{e.name} = {plus_minus(e.value, e.std_error)} {e.unit}".rstrip() for e in v.re_estimated.values()]
     new = f", which {'was' if len(v.records) == 1 else 'were'} not fitted to,"
     text = (
         f"The fitted model on {names}{'' if set(v.fitted_to) & {r.name for r in v.records} else new} with parameters "
@@ -318,4 +318,7 @@ def _solver(fit: FitResult) -> dict[str, Any]:
         for x in fit.history
     ]
     heads = ["iteration", "log-likelihood", "largest defect", "distance", "step", "trials"]
-    return {"picture": picture(plot_convergence(fit)[0]), "table": PageTable(heads, rows, "rrrrrr")}
+    return {
+        "picture": picture(*(plot_convergence(fit, w)[0] for w in WIDTHS)),
+        "table": PageTable(heads, rows, "rrrrrr"),
+    }

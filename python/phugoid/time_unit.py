@@ -60,7 +60,7 @@ class TimeUnit(str):
         return f"{unit}²" if self.is_rate(unit) else f"{unit or '1'}/{self}"
 
     def is_rate(self, unit: str) -> bool:
-        """Tell whether a unit is one per unit of time."""
+        """Return whether a unit is one per unit of time."""
         return unit.endswith(tuple(f"/{spelling}" for spelling in self._spellings))
 
     def axis(self, what: str = "time") -> str:

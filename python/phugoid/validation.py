@@ -26,6 +26,7 @@ from .modelling.noise import Noise
 from .notebook import bullets, overview, sparkline
 from .parameters import Estimates, estimates_html, estimates_table, facts_text, text_table
 from .records import Record, only
+from .renamed import Renamed
 from .solvers import Iteration, limited
 from .solvers.newton import Newton
 
@@ -57,10 +58,10 @@ class Validation:
     noise           that of the fit, every number known.
     fitted_to       names of the experiments that the fit was made on.
     records         one an experiment: measured, outputs, residuals, states.
-    held            parameter -> fixed value.
-    freed           estimates of the biases (and what else was named), with standard errors.
+    fixed           parameter -> fixed value.
+    re_estimated    estimates of the biases (and what else was named), with standard errors.
     initial_states  experiment -> state -> estimate of the state at the first sample. Standard errors, here and of
-                    ``freed``, take held parameters for exact and the noise for that of the fit.
+                    ``re_estimated``, take fixed parameters for exact and the noise for that of the fit.
     log_likelihood  of these measurements, at the noise of the fit: as `Fit.log_likelihood`, without the constant
                     -N n_y/2 ln 2 pi. On the same experiments it compares models, the greater the better.
                     With process noise it is the marginal one.
@@ -74,7 +75,7 @@ class Validation:
     warnings        in words.
     tolerances      output -> `Tolerance`, as given.
 
-    With process noise (`FilterError`) intensities are held too, initial states are integrated out, and outputs and
+    With process noise (`FilterError`) intensities are fixed too, initial states are integrated out, and outputs and
     residuals are those of predictions from the samples before, since the most probable path follows any measurements;
     ``sigma`` of a `Match` is what the root mean square of these residuals should be.
     """
@@ -83,8 +84,8 @@ class Validation:
     noise: Noise
     fitted_to: tuple[str, ...]
     records: Sequence[Record]
-    held: Mapping[str, float]
-    freed: Estimates
+    fixed: Mapping[str, float]
+    re_estimated: Estimates
     initial_states: Mapping[str, Estimates]
     log_likelihood: float
     chi_square: float
@@ -95,6 +96,9 @@ class Validation:
     message: str
     warnings: tuple[str, ...] = ()
     tolerances: Mapping[str, Tolerance] = field(default_factory=dict)
+
+    held = Renamed("fixed")
+    freed = Renamed("re_estimated")
 
     @property
     def converged(self) -> bool:
@@ -118,8 +122,8 @@ class Validation:
         """Return the validation in plain text: fixed and re-estimated values, goodness of fit of each output, and its
         meaning."""
         parts = [facts_text(f"{self.model.name}: validation", self._entries())]
-        if self.freed:
-            parts.append(estimates_table(self.freed.values(), title="re-estimated"))
+        if self.re_estimated:
+            parts.append(estimates_table(self.re_estimated.values(), title="re-estimated"))
         parts.append(text_table(*match_rows(self.matches.values())))
         if len(self.records) > 1:
             parts += [
@@ -139,7 +143,7 @@ class Validation:
         return overview(
             f"{self.model.name}: validation",
             bullets(f"{name}: {entries[name]}" for name in shown),
-            estimates_html(self.freed.values()),
+            estimates_html(self.re_estimated.values()),
             match_rows(self.matches.values()),
             remarks=[*self.in_words(), *self.warnings],
             pictures={n: sparkline(z, first.outputs[n], first.t) for n, z in first.measured.items()},
@@ -155,8 +159,8 @@ class Validation:
             "validated on": f"{names}: {samples} measured values",
             "fitted to": ", ".join(f"'{name}'" for name in self.fitted_to),
             "status": f"{self.status}: {self.message}" if self.message else self.status,
-            "fixed": ", ".join(self.held) or "nothing",
-            "re-estimated": ", ".join([counted(first, "initial state"), *self.freed]),
+            "fixed": ", ".join(self.fixed) or "nothing",
+            "re-estimated": ", ".join([counted(first, "initial state"), *self.re_estimated]),
             "log-likelihood": f"{self.log_likelihood:.3f} at the noise of the fit",
         }
         if self._predicted:
@@ -266,8 +270,8 @@ def validate(
         noise=noise,
         fitted_to=tuple(r.name for r in fit.records),
         records=records,
-        held=held | {n: e.value for n, e in found.parameters.items() if filtered and n in found.noise_parameters},
-        freed=estimates_of(found.parameters, free),
+        fixed=held | {n: e.value for n, e in found.parameters.items() if filtered and n in found.noise_parameters},
+        re_estimated=estimates_of(found.parameters, free),
         initial_states=found.initial_states,
         log_likelihood=found.log_likelihood,
         chi_square=total,

@@ -199,7 +199,7 @@ def make(
 
 
 def _runs_away(data: ph.Experiment, other: ph.Experiment) -> bool:
-    """Tell whether another record goes farther than a vehicle would: limits hold for what moves without the effect."""
+    """Return whether another record exceeds the range of a vehicle: limits hold for the motion without the effect."""
     return any(not np.ptp(other.output(n)) < FARTHEST * np.ptp(data.output(n)) for n in data.outputs)
 
 

@@ -177,6 +177,7 @@ def validate(
 
 def _validation_facts(fit: Fit, result: Validation) -> dict[str, Any]:
     inside = {n: m.inside for n, m in result.matches.items() if math.isfinite(m.inside)}
+    biases = {n: {"value": e.value, "std_error": e.std_error} for n, e in result.re_estimated.items()}
     return {
         "fit": fit_facts(fit),
         "status": result.status,
@@ -187,7 +188,8 @@ def _validation_facts(fit: Fit, result: Validation) -> dict[str, Any]:
         "matches": match_facts(result.matches),
         "tolerances": {n: vars(each) for n, each in result.tolerances.items()},
         "inside_tolerance": inside,
-        "freed": {n: {"value": e.value, "std_error": e.std_error} for n, e in result.freed.items()},
+        "re_estimated": biases,
+        "freed": biases,  # until the next release
         "warnings": list(result.warnings),
     }
 
@@ -277,7 +279,7 @@ def _diagnosis_facts(found: Diagnosis[Fit]) -> dict[str, Any]:
         "explained_interval",
         "explained_another",
         "explained_outputs",
-        "rivals_explained",
+        "alternatives_explained",
         "threshold",
         "explanation",
         "advice",
@@ -288,7 +290,11 @@ def _diagnosis_facts(found: Diagnosis[Fit]) -> dict[str, Any]:
         "fit": fit_facts(found.fit),
         "found": found.found,
         "verdict": found.verdict,
-        "findings": [{key: getattr(f, key) for key in kept} for f in found.findings],
+        "findings": [
+            # The last name until the next release.
+            {**{key: getattr(f, key) for key in kept}, "rivals_explained": f.alternatives_explained}
+            for f in found.findings
+        ],
         "ranking": ranking,
         "threshold": found.threshold,
         "interrupted": found.interrupted,

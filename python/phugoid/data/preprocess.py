@@ -74,7 +74,7 @@ class Preprocessing:
         return self._signals
 
     def _is_held(self, name: str) -> bool:
-        """Tell whether the input of a name is held between its samples."""
+        """Return whether the input of a name is held between its samples."""
         return kind_of(self._interpolation, name) == "hold"
 
     @abstractmethod

@@ -1,1 +1,1 @@
-"""What a fitted model is missing: shown, named, added, and the gain measured."""
+"""The misfit of a fitted model: its causes, found, named, and added to the model."""

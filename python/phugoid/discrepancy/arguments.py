@@ -19,7 +19,7 @@ from .search.refit import Refit
 
 __all__ = ["candidates_given", "check_fit", "check_size", "freed", "validation_given"]
 
-# Samples that every output is to have, and rows for each unknown: fewer do not tell noise from misfit.
+# Samples that every output is to have, and rows for each unknown: fewer do not distinguish noise from misfit.
 _FEWEST, _EACH = 40, 5
 # Of an output's spread: a residual below it is rounding.
 _EXACT = 1e-9
@@ -47,7 +47,7 @@ def check_fit(fit: Any) -> None:
 
 
 def check_size(base: Refit) -> None:
-    """Raise DataError for records too short to tell noise from misfit."""
+    """Raise DataError for records too short to distinguish noise from misfit."""
     linear = base.linear
     for name, count in zip(linear.model.output_names, linear.counts, strict=True):
         if count < _FEWEST:

@@ -1,4 +1,4 @@
-"""Find what a fitted model is missing."""
+"""The diagnosis: the search for what a fitted model is missing."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ _ALONE = 0.2
 
 
 def _is_minor(search: Search, result: SearchResult, found: Found, kept: Refit) -> bool:
-    """Tell whether what was found is no cause that is named: it explains too little, at the end or on the way there; of
-    what the validation records do not confirm (it is not ``kept``) more is asked."""
+    """Return whether a term that was found is not to be named: it explains too little, at the end or in an earlier
+    step; more is required of a term that the validation records do not confirm (it is not ``kept``)."""
     name = found.candidate.name if found.candidate is not None else ""
     alone = name in result.final.names and name not in kept.names
     little = alone and found.explained is not None and found.explained.part < _ALONE
@@ -294,8 +294,8 @@ def _reported(records: _Records, state: Inquiry, deadline: Deadline) -> _Reporte
 
 
 def _is_of_inputs(state: Inquiry) -> bool:
-    """Tell whether what is left is that of an input that was found, or comes of inputs that were sampled too slowly: in
-    white residuals these leave what looks like noise of them."""
+    """Return whether the remainder is that of an input that was found, or comes from inputs that were sampled too
+    slowly, which in white residuals has the same effect as noise of the input."""
     remainder = state.remainder
     assert remainder is not None
     known = {b.cause for b in state.inputs if b.kind != "cubic"}
@@ -384,7 +384,7 @@ def _notes_of_shared_terms(model: Model, declared: Collection[str]) -> list[str]
 
 
 def _shares(model: Model) -> bool:
-    """Tell whether several state equations have a parameter in common."""
+    """Return whether several state equations have a parameter in common."""
     right = model._right_hand_sides()
     within = [{*e.symbols} for (kind, _), e in right.items() if kind == "equation"]
     return any(sum(n in symbols for symbols in within) > 1 for n in model.parameter_names)

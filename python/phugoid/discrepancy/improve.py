@@ -1,4 +1,4 @@
-"""Diagnoses a model, puts in what is named, and diagnoses again, until nothing more is named."""
+"""Repeated diagnosis: named causes are added to the model, until no further cause is named."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class ImprovementResult:
 
     @property
     def interrupted(self) -> bool:
-        """Tell whether Ctrl-C or the time limit ended the last diagnosis: a complete one may name other causes."""
+        """Return whether Ctrl-C or the time limit ended the last diagnosis: a complete one may name other causes."""
         return self.steps[-1].diagnosis.interrupted
 
     def summary(self) -> str:

@@ -25,7 +25,7 @@ def save_diagnosis(d: DiagnosisResult, path: str | os.PathLike[str]) -> None:
     extension = d.extend() if d.found else None
     payload = {
         "fit": fit_payload(d.fit),
-        "misfit": d.misfit.summary(),  # for whoever reads the file: it is told anew from the fit
+        "misfit": d.misfit.summary(),  # for those who read the file; computed again from the fit
         "findings": [vars(f) for f in d.findings],
         "ranking": [vars(s) for s in d.ranking],
         "threshold": d.threshold,
@@ -88,6 +88,8 @@ def _text(value: Any) -> str:
     return _texts((value,))[0]
 
 
+# Fields of files of earlier versions, and their present names.
+_FORMER = {"rivals": "alternatives", "rivals_explained": "alternatives_explained"}
 # How what is neither text nor a single number is read back.
 _READ: Mapping[str, Callable[[Any], Any]] = {
     "aliases": _texts,
@@ -100,10 +102,10 @@ _READ: Mapping[str, Callable[[Any], Any]] = {
     "units": lambda each: dict(zip(each, _texts(each.values()), strict=True)),
     **dict.fromkeys(
         (
-            "rivals",
+            "alternatives",
             "estimate",
             "explained_outputs",
-            "rivals_explained",
+            "alternatives_explained",
             "rms_before",
             "rms_after",
             "held_out_rms_before",
@@ -116,6 +118,7 @@ _READ: Mapping[str, Callable[[Any], Any]] = {
 
 def _made(kind: type[_T], saved: Mapping[str, Any]) -> _T:
     """Return an object from its fields; what a later version may add to them is no reason to fail."""
+    saved = {_FORMER.get(name, name): value for name, value in saved.items()}
     read: dict[str, Callable[[Any], Any]] = {
         f.name: _READ.get(f.name, io.to_float if f.type == "float" else _text) for f in fields(kind)
     }

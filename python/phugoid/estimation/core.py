@@ -98,7 +98,7 @@ def estimated(
 ) -> _core.Fit:
     """Return the core's estimate. ``ways``: what else may be tried for a fit: moving meshes, restarts, smoothed kinks.
 
-    ``pressed`` tells how often the user asked for an end: once gives the best point so far, twice leaves out its
+    ``pressed`` is how often the user asked for an end: once gives the best point so far, twice leaves out its
     standard errors.
     """
     options: dict[str, Any] = {

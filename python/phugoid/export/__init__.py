@@ -358,7 +358,7 @@ def export_c(
     All arrays are double; no memory is allocated, and no state is kept between calls. Sub-expressions that are used
     more than once are computed once. Values are those of phugoid up to rounding: math.h is the platform's.
 
-    ``parameters``, ``experiment``  as in `linearise`; ``x0`` is the first state of that experiment, 0 without a fit.
+    ``parameters``, ``experiment``  as in `linearise`; ``x0`` is the initial state of that experiment, 0 without a fit.
     ``name``         prefix of files and functions; made from the model's name unless given.
     ``delayed_inputs``  of a model with delays: take each delayed input, u(t - tau), as an input of its own, which the
                      caller delays, and leave delays of sensors to the caller too.

@@ -243,7 +243,7 @@ _PANEL, _HEAD = 1.15, 0.5  # inches
 _SMALLEST = 1e-16  # of what is drawn; a zero has no logarithm
 
 
-def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
+def plot_convergence(fit: FitResult, width: float = WIDTH) -> tuple[Figure, dict[str, Axes]]:
     """Plot each column of the iteration table over the iterations, on a logarithmic scale where it changes much.
 
     Log-likelihood: the distance from that of the last iteration; hollow where it was above, which a point can be that
@@ -266,9 +266,9 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
     likelihood = np.array([line.log_likelihood for line in history], dtype=float)
     names = ("log-likelihood", "defect", "optimum", "step")
     with styled() as plt:
-        figure, panels = plt.subplots(
-            2, 2, sharex=True, figsize=(WIDTH, 2.0 * _PANEL + _HEAD + 0.45), layout="constrained"
-        )
+        rows, columns = (4, 1) if width < WIDTH else (2, 2)  # on a narrow page one below the other
+        size = width, rows * _PANEL + _HEAD + 0.45
+        figure, panels = plt.subplots(rows, columns, sharex=True, squeeze=False, figsize=size, layout="constrained")
         axes: dict[str, Any] = dict(zip(names, panels.flat, strict=True))
         below = likelihood[-1] - likelihood
         _draw_iterations(axes["log-likelihood"], number[:-1], np.abs(below[:-1]), MEASURED, hollow=below[:-1] < 0.0)
@@ -296,7 +296,7 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
                 axis.yaxis.set_minor_formatter(NullFormatter())
             for place in anew:
                 axis.axvline(place, color=RULE, linewidth=0.8, linestyle="--", zorder=0.5)
-        for axis in panels[1]:
+        for axis in panels[-1]:
             axis.set_xlabel("iteration")
         status = f"{fit.model.name}: {fit.status} after {fit.iterations} iterations, {fit.time:.2g} s"
         figure.suptitle(plain(status), x=0.01, ha="left", fontsize=9.5)

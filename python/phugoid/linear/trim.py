@@ -241,7 +241,7 @@ class _TrimEquations:
         warnings: tuple[str, ...] = ()
         if undetermined:
             what = "is" if len(undetermined) == 1 else "are"
-            warnings = (f"{', '.join(undetermined)} {what} not determined by the equations: hold as you need",)
+            warnings = (f"{', '.join(undetermined)} {what} not determined by the equations: give a value",)
         return Trim(
             states={n: numbers[n] for n in model.state_names},
             inputs={n: {**numbers, **late}[n] for n in model.declared_inputs},

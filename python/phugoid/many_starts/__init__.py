@@ -86,7 +86,7 @@ class Multistart:
         Outcomes are kept without time histories, so it is solved again when first asked for: from the values of the
         best outcome, and where this leads elsewhere, from its start. Where no start converged, it is the fit from the
         start that reached the highest log-likelihood, or from the first where none ended at a solution of the
-        equations; ``best.status`` tells. Its warnings say where other starts ended at local optima.
+        equations; see ``best.status``. Its warnings say where other starts ended at local optima.
 
         Raises EvaluationError where no start led anywhere.
         """

@@ -114,7 +114,7 @@ class Journal:
         if self.warnings:
             return
         entry = {f.name: getattr(outcome, f.name) for f in fields(outcome)}
-        # Arrays (paths of states) are told by their hash, as all of the start is.
+        # Arrays (paths of states) are identified by their hash, as all of the start is.
         entry["start"] = {name: value for name, value in outcome.start.items() if np.ndim(value) == 0}
         line = _line(sealed(io._plain({**entry, "start_hash": _start_hash(outcome.start)})))
         try:

@@ -254,7 +254,7 @@ class Model:
         return self._condition_names
 
     def is_condition(self, name: str) -> bool:
-        """Tell whether an input is a measured condition, also a delayed one."""
+        """Return whether an input is a measured condition, also a delayed one."""
         of, _ = self._delays.inputs.get(name, (name, ""))
         return of in self._condition_names
 

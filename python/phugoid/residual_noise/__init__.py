@@ -31,7 +31,7 @@ __all__ = [
 _Array: TypeAlias = NDArray[np.float64]
 _Indices: TypeAlias = NDArray[np.intp]
 
-# Part of the spacing by which a step may differ from whole ones and still tell what the spacing is.
+# Part of the spacing by which a step may differ from whole ones and still determine the spacing.
 _OFF = 0.1
 # Segments with fewer samples than this, in the mean, are what jitter leaves of even times.
 _SHORT = 3
@@ -84,7 +84,7 @@ class UniformSegment:
 def uniform_segments(times: _Array) -> Sequence[UniformSegment]:
     """Return the segments of increasing times (n,): where a step is not a multiple of the usual one, another begins.
 
-    The usual step is the median; where more samples are missing than that tells, a lesser one that leaves fewer
+    The usual step is the median; where too many samples are missing for that, a lesser one that leaves fewer
     segments. Where times jitter so much that hardly any two are so far apart, all samples are one segment: that each
     follows the one before describes noise with a correlation time better than that none does.
     """
@@ -300,7 +300,7 @@ _REPEATED, _UNEVEN = 3.0, 1e-3
 def resolution_of(samples: Sequence[_Array]) -> float:
     """Return the step of the grid on which all samples of some records (n,) lie; 0 where there is none.
 
-    A grid is told from fine digits of a text file by its values: there are few, and they come again and again.
+    A grid differs from fine digits of a text file in its values, which are few and recur.
 
     >>> resolution_of([np.array([0.0, 0.5, 0.5, 1.0, 0.5, 0.0, 0.0, 0.5, 1.0, 1.5, 1.0, 1.0])])
     0.5

@@ -266,7 +266,7 @@ def spectrum_of(series: Sequence[Series], alpha: float) -> Spectrum:
     for s in series:
         grid = s.segment.on_grid(s.r, 0.0)
         if grid.size < size // 2 and grid.size < longest:
-            continue  # too short to tell frequencies apart
+            continue  # too short to resolve frequencies
         grid = np.pad(grid, (0, max(size - grid.size, 0)))
         pieces = sliding_window_view(grid, size)[:: size - size // 2]
         # Of gaps: the mean square over the grid is less than that over the samples.

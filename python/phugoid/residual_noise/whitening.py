@@ -238,10 +238,10 @@ def _regression(runs: list[_Array], p: int) -> tuple[_Array, _Array]:
     return np.vstack(now), np.vstack(past)
 
 
-# Pairs of samples that tell of a correlation.
+# Pairs of samples from which a correlation is estimated.
 _SAMPLES_EACH = 10
 # Passes, and the change of a variance that ends them. More would extrapolate: of noise so slow that they change much,
-# a record tells little.
+# a record has little information.
 _PASSES, _SETTLED = 3, 5e-3
 # Eigenvalues below this part of the greatest are rounding.
 _NOTHING = 1e-12

@@ -1,4 +1,4 @@
-"""A fit linearised: residuals, and how the outputs answer to parameters, initial states and forces."""
+"""A fit linearised: residuals, and the effects on the outputs of parameters, initial states and forces."""
 
 from __future__ import annotations
 
@@ -288,7 +288,7 @@ class Linearised:
         return {*self._slopes[0], *(Place("output", name) for name in self.model.output_names)}
 
     def reaches(self, place: Place) -> bool:
-        """Tell whether candidates can act at a place, shown by outputs or not."""
+        """Return whether candidates can act at a place, shown by outputs or not."""
         return replace(place, shown=True) in self.places
 
     @cached_property

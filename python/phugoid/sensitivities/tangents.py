@@ -1,4 +1,4 @@
-"""Fits by collocation, and what they can still move in: the information, exact, on the tangent space."""
+"""Fits by collocation, and the exact information on the tangent space of their constraints."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def collocated(fit: FitResult) -> FitResult:
 
 
 def cheap(fit: FitResult, again: bool = False) -> bool:
-    """Tell whether a fit can be linearised in about the time of an estimation, and without an estimation unless
+    """Return whether a fit can be linearised in about the time of an estimation, and without an estimation unless
     ``again``: the tangents of large systems are large."""
     inner = fit._moved or fit
     at_hand = bool(fit.experiments) and isinstance(inner.transcription, Collocation) and inner.solution is not None
@@ -55,7 +55,7 @@ def collocated_for(fit: FitResult, caller: str) -> FitResult:
     if isinstance(fit.transcription, FilterError):
         raise OptionError(
             f"{caller}: is not offered for fits with process noise (FilterError): their innovations are white where "
-            "the model is right, and their standard errors hold as they are"
+            "the model is right, and their standard errors need no correction"
         )
     if fit.status not in _ENDS:
         raise OptionError(f"{caller}: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}")
@@ -66,7 +66,7 @@ _Array: TypeAlias = NDArray[np.float64]
 
 # Tangents whose singular value, in units of the noise, is below this part of the greatest are rounding.
 _NOTHING = 1e-9
-# Where variables tell of the space to less than this, others are taken.
+# Where variables determine the space to less than this, others are taken.
 _TOLD = 1e-5
 # A variable is at a bound within this fraction of its size, as `make_fit` has it.
 _AT_BOUND = 1e-6
@@ -258,12 +258,12 @@ class Scores:
 
     @property
     def own(self) -> bool:
-        """Tell whether each experiment has noise of its own size."""
+        """Return whether each experiment has noise of its own size."""
         return isinstance(self._noise, PerExperiment) and len(self.linear.experiments) > 1
 
     @property
     def gaussian(self) -> bool:
-        """Tell whether the noise is Gaussian."""
+        """Return whether the noise is Gaussian."""
         noise = self._noise.noise if isinstance(self._noise, PerExperiment) else self._noise
         kinds = list(noise.outputs.values()) if isinstance(noise, PerOutput) else [noise]
         return all(isinstance(kind, Gaussian) for kind in kinds)

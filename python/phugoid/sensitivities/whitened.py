@@ -31,7 +31,7 @@ class Whitened:
 
     One step of generalised least squares from the fit: of all that differ from it by a tangent, the residuals most
     likely under the filter. To first order that is the maximum-likelihood estimate with coloured noise, whose standard
-    errors are honest where those of white noise are not.
+    errors are valid where those of white noise are not.
     """
 
     def __init__(self, linear: Linearised, filter: Filter) -> None:
@@ -171,7 +171,7 @@ def joint_whitening(own: Whitened) -> Whitened | None:
         following, p = max(tried, key=lambda pair: pair[0].lenient_merit, default=(best, order))
         if following.lenient_merit <= best.lenient_merit:
             break
-        best, order = following, p  # the first round tells the order
+        best, order = following, p  # the first round determines the order
     return best if best is not own else None
 
 
@@ -201,7 +201,7 @@ class Marginal:
     coefficients    (k,) mean of the random coefficients given the data.
     deviations      (k,) their standard deviations given the data.
     residuals       (n_rows,) what is left beside the parameters and these.
-    unknowns        the effective number of coefficients, at most k: those that the data tell.
+    unknowns        the effective number of coefficients, at most k: those that the data determine.
     """
 
     log_likelihood: float
@@ -382,7 +382,7 @@ class RandomEffects:
         value = float(self._counts @ x[1:]) + log_det + float(self._squares @ (1.0 / noise)) - float(right @ solution)
         d, b = solution[:k], solution[k:]
         variances = np.diag(inverse)
-        # Squares that are left, and as many of the samples and coefficients as they tell of, by part.
+        # Squares that are left, and the samples and coefficients that they are worth, by part.
         squares, taken = np.empty(x.size), np.empty(x.size)
         squares[0], taken[0] = float(d @ d) / s2, float(variances.sum()) / s2
         # What P of Gilmour, Thompson and Cullis makes of the parts' working variates, which are the coefficients' share

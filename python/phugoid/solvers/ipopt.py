@@ -163,7 +163,7 @@ class Callbacks:
         self.watch = watch
         self._deadline = deadline
         self.pressed: Callable[[], bool] = lambda: False
-        """Tell whether the user asks for an end."""
+        """Return whether the user asks for an end."""
         self.late = False
         """Whether the time limit ended it."""
         self.history: list[Iteration] = []

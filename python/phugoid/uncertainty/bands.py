@@ -438,7 +438,7 @@ def _add_biases(likelihood: Filtered, covariance: _Array, own: NDArray[np.intp])
     held[[i for i in range(z.size) if i not in own and covariance[i, i] == 0.0]] = True
     hessian = objective.hessian(z, metric, held)
     if hessian is None:
-        raise DataError("prediction_bands: the likelihood of the new record ends too near to say how biases follow")
+        raise DataError("prediction_bands: the likelihood of the new record has no curvature")
     hessian *= np.outer(jacobian, jacobian)
     own_inverse = np.linalg.inv(hessian[np.ix_(own, own)])
     slopes = -own_inverse @ hessian[own]

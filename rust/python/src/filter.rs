@@ -26,7 +26,7 @@ pub enum Outcome<'py> {
     Lost(String),
 }
 
-/// States, outputs, innovations and predicted states, each with its deviations; covariance of the first state, how it
+/// States, outputs, innovations and predicted states, each with its deviations; covariance of the initial state, how it
 /// follows the parameters.
 type Smooth<'py> = ([Pair<'py>; 4], Array<'py>, Array<'py>);
 

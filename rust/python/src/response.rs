@@ -52,7 +52,7 @@ fn ask<R>(
 
 /// Tangents of the path of a collocation problem along some variables: (tangents, n_θ + n_x · samples), parameters
 /// first, then the states at the samples of each experiment, sample by sample; `None` where something is not finite. And
-/// whether that is forward in time: then they are those of one variable alone, a parameter or a first state, whatever
+/// whether that is forward in time: then they are those of one variable alone, a parameter or an initial state, whatever
 /// conditions there are. `stop` is asked now and then whether to end with a KeyboardInterrupt.
 #[pyfunction]
 pub fn tangents<'py>(

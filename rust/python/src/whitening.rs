@@ -33,7 +33,7 @@ pub struct PyWhitening(Whitening);
 
 #[pymethods]
 impl PyWhitening {
-    /// Channels are (predictors of order 0, 1, ..., standard deviations, strands: first row and places in time);
+    /// Channels are (predictors of order 0, 1, ..., standard deviations, segments: first row and places in time);
     /// mixings are (inverse of a root, rows (times, n)).
     #[new]
     fn new(
@@ -44,7 +44,7 @@ impl PyWhitening {
             PyValueError::new_err("predictor k has k coefficients and a standard deviation; places increase")
         };
         let mut models = Vec::with_capacity(channels.len());
-        for (predictors, sigmas, strands) in &channels {
+        for (predictors, sigmas, segments) in &channels {
             let predictors: Vec<Vec<f64>> = predictors.iter().map(|p| p.as_array().to_vec()).collect();
             let sigmas = sigmas.as_array().to_vec();
             if sigmas.is_empty()
@@ -56,11 +56,11 @@ impl PyWhitening {
             let places = |p: &PyReadonlyArray1<'_, isize>| {
                 p.as_array().iter().map(|&i| i as usize).collect::<Vec<_>>()
             };
-            let strands: Vec<_> = strands.iter().map(|(first, p)| (*first, places(p))).collect();
-            if strands.iter().any(|(_, places)| places.windows(2).any(|w| w[1] <= w[0])) {
+            let segments: Vec<_> = segments.iter().map(|(first, p)| (*first, places(p))).collect();
+            if segments.iter().any(|(_, places)| places.windows(2).any(|w| w[1] <= w[0])) {
                 return Err(wrong());
             }
-            models.push((Predictors::new(predictors, sigmas), strands));
+            models.push((Predictors::new(predictors, sigmas), segments));
         }
         let mixings: Vec<_> = mixings
             .iter()
@@ -72,7 +72,7 @@ impl PyWhitening {
             })
             .collect();
         let rows: usize =
-            models.iter().flat_map(|(_, strands)| strands).map(|(_, places)| places.len()).sum();
+            models.iter().flat_map(|(_, segments)| segments).map(|(_, places)| places.len()).sum();
         let inside =
             |(inverse, at): &(Vec<f64>, Vec<usize>)| !inverse.is_empty() && at.iter().all(|&i| i < rows);
         let found = Whitening::new(&models, mixings.iter().filter(|m| inside(m)).cloned().collect());

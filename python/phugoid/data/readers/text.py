@@ -217,7 +217,7 @@ def _numbers(table: _Table, j: int, name: str) -> NDArray[Any]:
             values[i] = np.nan if cell.lower() in _MISSING else float(cell)
         except ValueError:
             comma = (
-                " (decimal commas or thousands? The file does not tell: write points, or give "
+                " (decimal commas or thousands? The file does not show which: write points, or give "
                 "ph.read(pandas.read_csv(..., sep=';', decimal=',')))"
                 if _COMMA.match(cell)
                 else ""

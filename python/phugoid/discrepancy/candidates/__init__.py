@@ -1,1 +1,1 @@
-"""What a model may be missing."""
+"""Candidates for what a model may be missing."""

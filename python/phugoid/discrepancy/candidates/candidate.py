@@ -1,4 +1,4 @@
-"""One thing that a model may be missing."""
+"""A candidate for what a model may be missing: the base class."""
 
 from __future__ import annotations
 
@@ -73,12 +73,12 @@ class Candidate(ABC):
 
     @property
     def jumps(self) -> bool:
-        """Tell whether it jumps along the motion, for which a fit takes many iterations."""
+        """Return whether it jumps along the motion, for which a fit takes many iterations."""
         return False
 
     @property
     def has_phase(self) -> bool:
-        """Tell whether its two coefficients are those of a sine and a cosine, which depend on where the phase is 0."""
+        """Return whether its two coefficients are those of a sine and a cosine, which depend on the phase reference."""
         return False
 
     @property
@@ -88,7 +88,7 @@ class Candidate(ABC):
 
     @property
     def begins_measured(self) -> bool:
-        """Tell whether a fit may begin at the measured motion: the one without the candidate goes where it cannot."""
+        """Return whether a fit may begin at the measured motion: the one without the candidate goes where it cannot."""
         return False
 
     @property
@@ -120,7 +120,7 @@ class Candidate(ABC):
         return None
 
     def has_reason(self, values: Mapping[str, float]) -> bool:
-        """Tell whether values of its parameters that are outside of what is physical have a reason, such as a wrong
+        """Return whether values of its parameters that are outside of what is physical have a reason, such as a wrong
         sign."""
         return False
 
@@ -192,7 +192,7 @@ class Effect(Candidate):
         return replace(self, scales=scales)
 
     def worthwhile(self) -> bool:
-        """Tell whether the record can say anything of it at all."""
+        """Return whether the record can say anything of it at all."""
         if not all(self.scales.varies(name) for name in self.variables):
             return False
         return len(self.variables) != 1 or self.family not in _SHAPED or self.scales.tells(*self.variables, self.family)
@@ -228,7 +228,7 @@ class Effect(Candidate):
 
     @property
     def is_apt(self) -> bool:
-        """Tell whether the variable has values about the centre: on one side of a kink the effect is another one."""
+        """Return whether the variable has values about the centre: on one side of a kink the effect is another one."""
         if self.family not in _KINKED:
             return all(self.scales.is_near(name, self.scales.centre(name)) for name in self.variables)
         return all(self.scales.is_inside(name, self.scales.centre(name)) for name in self.variables)
@@ -242,22 +242,22 @@ class Effect(Candidate):
 
 
 def has_unknown_centre(candidate: Candidate) -> bool:
-    """Tell whether a candidate is a function of one variable about a trim that is not given."""
+    """Return whether a candidate is a function of one variable about a trim that is not given."""
     return isinstance(candidate, Effect) and candidate.family in _ADDED and _is_centred_anywhere(candidate)
 
 
 def is_limit(candidate: Candidate) -> bool:
-    """Tell whether a candidate is a limit of an input on either side of a centre that is not given."""
+    """Return whether a candidate is a limit of an input on either side of a centre that is not given."""
     return isinstance(candidate, Effect) and candidate.place.kind == "input" and _is_centred_anywhere(candidate)
 
 
 def _is_centred_anywhere(effect: Effect) -> bool:
-    """Tell whether an effect of one variable has a centre that is not given."""
+    """Return whether an effect of one variable has a centre that is not given."""
     return effect.centred and len(effect.variables) == 1 and effect.variables[0] not in effect.scales.given
 
 
 def added_by_centre(function: Candidate, other: Candidate) -> bool:
-    """Tell whether a term is what a function of a variable has in addition about another centre."""
+    """Return whether a term is what a function of a variable has in addition about another centre."""
     if not has_unknown_centre(function) or not isinstance(function, Effect) or not isinstance(other, Effect):
         return False
     if other.family != _ADDED[function.family]:
@@ -267,8 +267,8 @@ def added_by_centre(function: Candidate, other: Candidate) -> bool:
 
 
 def is_function(candidate: Candidate, variable: str = "") -> bool:
-    """Tell whether a candidate is a function of the present value of one variable, any unless it is named, and neither
-    constant nor linear."""
+    """Return whether a candidate is a function of the present value of one variable (that which is named, or any), and
+    neither constant nor linear."""
     if not isinstance(candidate, Effect) or len(candidate.variables) != 1 or candidate.family not in _SHAPED:
         return False
     return not variable or candidate.variables == (variable,)

@@ -1,4 +1,4 @@
-"""Make what a model may be missing at each of its places, by forms and effects that are known."""
+"""Candidates for each place of a model, from the catalogue of known forms and effects."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Catalogue:
             yield ParameterLaw(f"{name}:{x.shown}", place, words, "dependence", self.scales, (d,), (), (x.symbol,))
         yield from (self._saturating(name, x) for name, x in self.structure.rates_of_stores)
         for name, x in self.structure.factors_of_parameters:
-            words = f"what {name} multiplies goes with another power of {x.shown} than the first"
+            words = f"the factor of {name} is proportional to another power of {x.shown} than the first"
             e, place = self.names(f"exponent_{name}_{x.shown}"), Place("parameter", name)
             title = f"{name}:exponent_{x.shown}"
             yield FactorExponent(title, place, words, "exponent", self.scales, (e,), (), (x.symbol,))

@@ -1,4 +1,4 @@
-"""What is wrong with an input or an output: scale, bias, dead-band, saturation, lag, delay."""
+"""Faults of an input or an output: scale, bias, dead-band, saturation, lag, delay."""
 
 from __future__ import annotations
 

@@ -231,7 +231,7 @@ def _checked(model: Model, place: Place, key: str, given: Any) -> Expr:
         if name not in known:
             raise ModelError(f"terms: {e} in '{key}' holds the unknown '{name}'.{did_you_mean(name, known)}")
     if not {*e.symbols}:
-        raise ModelError(f"terms: {e} in '{key}' is a number; a constant part is called 'bias' and is there by itself")
+        raise ModelError(f"terms: {e} in '{key}' is a number; the candidate 'bias' is a constant part")
     jump = _jump(e)
     if jump:
         raise ModelError(
@@ -358,7 +358,7 @@ def _random(
     good = np.flatnonzero(np.isfinite(y).all(axis=0))[-n:]
     if good.size < 16:
         raise ModelError(
-            "candidates: the model's equations are hardly anywhere finite at random points about zero or the trims; "
+            "candidates: the model's equations are not finite at most random points about zero or the trims; "
             "give trim=..., typical values of states and inputs"
         )
     y, t = y[:, good], t[good]

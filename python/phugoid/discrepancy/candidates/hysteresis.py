@@ -1,4 +1,4 @@
-"""Terms whose answer depends on the past of the motion: hysteresis, friction at rest, a mode that the model lacks."""
+"""Terms that depend on the past of the motion: hysteresis, friction at rest, a mode that the model lacks."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Limits: states that go no further (an overflow, an end stop), forces that come to no more than one, and actuators
-whose answer depends on the past of their command (backlash, a limited rate)."""
+"""Limits of states (an overflow, an end stop) and of forces, and actuators with backlash or a limited rate."""
 
 from __future__ import annotations
 
@@ -305,8 +304,8 @@ class EndStop(_StateEffect):
         return Expr(beyond * 0.5 * (push + smooth_abs(push, _PUSH)))
 
     def _stiffest(self) -> float:
-        """Return the stiffness of a contact that lasts for a few samples: that of a stiffer one the records cannot
-        tell, and the solver makes up motions between the samples that meet no stop."""
+        """Return the stiffness of a contact that lasts for a few samples: the records do not
+        determine a greater one, with which motions between the samples would be arbitrary."""
         s = self.scales
         gain = s.span(rate_key(self.speed)) / s.span(self.place.name) if self.place.kind == "quantity" else 1.0
         return (_QUICKEST / s.interval) ** 2 / max(gain, 1e-300)

@@ -1,4 +1,4 @@
-"""Where a model may be wrong, and what its equations may depend on."""
+"""The structure of a model: places at which a term may be missing, and variables that it may depend on."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ class ModelStructure:
         return ""
 
     def is_product(self, place: Place) -> bool:
-        """Tell whether a quantity is a product with a parameter, such as a rate of reaction or a flow of heat, and no
+        """Return whether a quantity is a product with a parameter, such as a rate of reaction or a flow of heat, and no
         sum of terms that each have their own."""
         if place.kind != "quantity":
             return False
@@ -159,14 +159,14 @@ class ModelStructure:
         return len(terms) == 1 and bool(self._parameters.intersection(terms[0].symbols))
 
     def is_store(self, variable: Variable) -> bool:
-        """Tell whether a variable may be what a store holds, as a level or a pressure: a state that is no angle, no
+        """Return whether a variable may be what a store holds, as a level or a pressure: a state that is no angle, no
         rate and no position, which is a speed's integral."""
         unit = self.model.variable_units.get(variable.symbol, "")
         moves = variable.rate or self.moves(variable.symbol) or variable.symbol in self._exact
         return variable.kind == "state" and not moves and unit not in ANGLES
 
     def moves(self, name: str) -> bool:
-        """Tell whether the unit of a variable is one per unit of the model's time."""
+        """Return whether the unit of a variable is one per unit of the model's time."""
         return self.model.time_unit.is_rate(self.model.variable_units.get(name, ""))
 
     @cached_property
@@ -176,11 +176,11 @@ class ModelStructure:
         return [(x, v) for x in states for v in states if self.dynamics[x.symbol] == Expr.symbol(v.symbol)]
 
     def is_position(self, variable: Variable) -> bool:
-        """Tell whether a variable is the integral of a speed that is a state, and nothing else."""
+        """Return whether a variable is the integral of a speed that is a state, and nothing else."""
         return any(x.symbol == variable.symbol for x, _ in self.coordinates)
 
     def is_angle(self, variable: Variable) -> bool:
-        """Tell whether a variable is a state that is an angle, such as one of the flow, which turns a vane."""
+        """Return whether a variable is a state that is an angle, such as one of the flow, which turns a vane."""
         return variable.kind == "state" and self.model.variable_units.get(variable.symbol, "") in ANGLES
 
     @property
@@ -259,7 +259,7 @@ class ModelStructure:
         return 1 if self._increases(slope) else -1 if self._increases(Expr(-slope)) else 0
 
     def _increases(self, slope: Expr) -> bool:
-        """Tell whether a slope is positive, at random states and inputs if it is not constant."""
+        """Return whether a slope is positive, at random states and inputs if it is not constant."""
         if (constant := slope.constant) is not None:
             return bool(constant > 0.0)
         e = Expr(slope.substitute(self.quantities))
@@ -270,8 +270,8 @@ class ModelStructure:
         return all(e.evaluate(at) > 0.0 for at in tried)
 
     def is_modelled(self, name: str) -> bool:
-        """Tell whether parameters stand in a state's equation, itself or in the quantities that stand there: it is not
-        exact, as that of a position is."""
+        """Return whether a state equation, or a quantity in it, has parameters; that of a position, which is exact, has
+        none."""
         return name not in self._exact
 
     def fed_by(self, name: str) -> list[str]:
@@ -282,12 +282,13 @@ class ModelStructure:
         return [x for x, e in full.items() if name in e.symbols]
 
     def turns_freely(self, name: str) -> bool:
-        """Tell whether a state is an angle of which sines or cosines are taken, as of an attitude or of a pendulum."""
+        """Return whether a state is an angle of which sines or cosines are taken, such as an attitude."""
         groups = (self.quantities, self.dynamics, self.outputs)
         return any(_is_within(e, name, _SINES) for group in groups for e in group.values() if name in e.symbols)
 
     def interact(self, place: Place, one: Variable, other: Variable) -> bool:
-        """Tell whether what one variable does at a place depends on another one, as in a reaction of two substances."""
+        """Return whether the effect of a variable at a place depends on another one, as in a reaction of two
+        substances."""
         e = self.expression(place)
         if not {one.symbol, other.symbol} <= {*e.symbols}:
             return False
@@ -295,23 +296,23 @@ class ModelStructure:
         return mixed is None or mixed != 0.0
 
     def may_depend_on_position(self, place: Place, position: Variable, other: Variable) -> bool:
-        """Tell whether the gain of a state at a place may change with a position, as the force of a current does with
+        """Return whether the gain of a state at a place may change with a position, as the force of a current does with
         that of its coil in the magnet."""
         moves = self.is_position(position) and not self.turns_freely(position.symbol)
         return moves and self.is_weighed(place, other)
 
     def is_weighed(self, place: Place, variable: Variable) -> bool:
-        """Tell whether what a variable does at a place depends on a parameter that is estimated."""
+        """Return whether what a variable does at a place depends on a parameter that is estimated."""
         e = self.expression(place)
         slope = Expr(e.diff(variable.symbol)) if variable.symbol in e.symbols else Expr(0.0)
         return bool(self._parameters & {*slope.symbols})
 
     def has_friction(self, place: Place, name: str) -> bool:
-        """Tell whether a jump with the sign of a rate stands at a place already, sharp or rounded."""
+        """Return whether a jump with the sign of a rate stands at a place already, sharp or rounded."""
         return _is_within(self.expression(place).simplify(), name, _JUMPS)
 
     def _multiplies(self, parameter: str, e: Expr) -> bool:
-        """Tell whether a parameter multiplies something that varies in an output."""
+        """Return whether a parameter multiplies something that varies in an output."""
         slope = Expr(e.diff(parameter)) if parameter in e.symbols else Expr(0.0)
         return any(n in slope.symbols for n in (*self.model.state_names, *self.model.declared_inputs))
 
@@ -321,7 +322,7 @@ class ModelStructure:
         return bool(symbols & names) or any(self._varies(n) for n in symbols.intersection(self.quantities))
 
     def _is_rate(self, name: str) -> bool:
-        """Tell whether a state is an angular rate by its unit, or another state's derivative by exact kinematics."""
+        """Return whether a state is an angular rate by its unit, or another state's derivative by exact kinematics."""
         if self.model.variable_units.get(name, "") in self.model.time_unit.angular_rates:
             return True
         slopes = [Expr(e.diff(name)).constant for state, e in self._exact.items() if state != name]
@@ -340,7 +341,7 @@ class ModelStructure:
         return found
 
     def used(self, symbol: str) -> bool:
-        """Tell whether a symbol stands in any equation."""
+        """Return whether a symbol stands in any equation."""
         groups = (self.quantities, self.dynamics, self.outputs)
         return any(symbol in e.symbols for group in groups for e in group.values())
 
@@ -379,17 +380,17 @@ def motion_part(e: Expr, states: Collection[str]) -> Expr:
 
 
 def _is_linear(e: Expr, name: str) -> bool:
-    """Tell whether an expression is linear in a variable."""
+    """Return whether an expression is linear in a variable."""
     return name not in Expr(e.diff(name)).simplify().symbols
 
 
 def _vanishes_at_zero(e: Expr, name: str) -> bool:
-    """Tell whether an expression is zero where a variable is, whatever the others."""
+    """Return whether an expression is zero where a variable is, whatever the others."""
     return name in e.symbols and Expr(e.substitute({name: Expr(0.0)})).simplify().constant == 0.0
 
 
 def _is_within(e: Expr, name: str, functions: Collection[str]) -> bool:
-    """Tell whether a symbol stands within one of some functions."""
+    """Return whether a symbol stands within one of some functions."""
     function, arguments = e.operation
     inside = [a for a in arguments if name in a.symbols]
     return bool(inside) and (function in functions or any(_is_within(a, name, functions) for a in inside))

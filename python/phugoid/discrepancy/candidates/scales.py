@@ -132,12 +132,12 @@ class Scales:
         return self.trim.get(name, 0.0)
 
     def is_near(self, name: str, value: float) -> bool:
-        """Tell whether a value is no further from those of a variable than these are apart."""
+        """Return whether a value is no further from those of a variable than these are apart."""
         span = self.span(name)
         return self.low.get(name, 0.0) - span <= value <= self.high.get(name, 0.0) + span
 
     def is_inside(self, name: str, value: float) -> bool:
-        """Tell whether a variable has values well on both sides of one, as far as is known."""
+        """Return whether a variable has values well on both sides of one, as far as is known."""
         if name not in self.low:
             return True
         edge = _INSIDE * self.span(name)
@@ -154,30 +154,31 @@ class Scales:
         return max(self.high[name] - self.centre(name), self.centre(name) - self.low[name])
 
     def varies(self, name: str) -> bool:
-        """Tell whether a variable varies, as far as is known."""
+        """Return whether a variable varies, as far as is known."""
         if name not in self.low:
             return True
         low, high = self.low[name], self.high[name]
         return high - low > _CONSTANT * max(abs(low), abs(high))
 
     def tells(self, name: str, family: str) -> bool:
-        """Tell whether a variable takes values enough to tell a function of it, of one of the families, from a constant
-        and a linear part: any function of two levels is such a sum, and any odd function of three that lie evenly."""
+        """Return whether a variable takes enough values to distinguish a function of it, of one of the families, from a
+        constant and a linear part: any function of two levels is such a sum, and any odd function of three that lie
+        evenly."""
         levels = self.levels.get(name, 0)
         return not levels or levels > 3 or (levels == 3 and family in ("square", "absolute"))
 
     def crosses(self, name: str) -> bool:
-        """Tell whether a variable changes sign, as far as is known."""
+        """Return whether a variable changes sign, as far as is known."""
         if name not in self.low:
             return True
         return min(self.high[name], -self.low[name]) > _CROSSES * (self.high[name] - self.low[name])
 
     def nearly_crosses(self, name: str) -> bool:
-        """Tell whether a variable changes sign or comes so near to it that it may where the model is right."""
+        """Return whether a variable changes sign or comes so near to it that it may where the model is right."""
         return self.crosses(name) or min(abs(self.low[name]), abs(self.high[name])) < _CROSSES * self.span(name)
 
     def reaches_zero(self, name: str) -> bool:
-        """Tell whether zero is no further from the values of a variable than these vary: a power of flows, levels and
+        """Return whether zero is no further from the values of a variable than these vary: a power of flows, levels and
         speeds is one of the variable itself, and no constant and linear part make up for the distance to a trim."""
         if name not in self.low:
             return True
@@ -185,16 +186,16 @@ class Scales:
         return max(low, -high) <= high - low
 
     def stays_positive(self, name: str) -> bool:
-        """Tell whether a variable stays well above zero, so that any power of it is defined."""
+        """Return whether a variable stays well above zero, so that any power of it is defined."""
         return name not in self.low or has_powers(self.low[name], self.high[name])
 
     def is_positive(self, name: str) -> bool:
-        """Tell whether a variable is above zero but for little, as far as is known."""
+        """Return whether a variable is above zero but for little, as far as is known."""
         return name not in self.low or (self.low[name] + self.high[name] > 0.0 and not self.crosses(name))
 
 
 def has_powers(low: float, high: float) -> bool:
-    """Tell whether values between two stay well above zero, so that any power of them is defined."""
+    """Return whether values between two stay well above zero, so that any power of them is defined."""
     return low > _ABOVE * high
 
 
@@ -247,8 +248,8 @@ _SLOW = 0.02
 
 
 def _longest_delay(duration: float, interval: float) -> float:
-    """Return the longest delay that is looked for. A record shorter than 20 of them does not tell it; a sampling so
-    slow that 0.3 s is less than three intervals belongs to a slower system."""
+    """Return the longest delay that is looked for. A record shorter than 20 of them does not determine it; a sampling
+    so slow that 0.3 s is less than three intervals belongs to a slower system."""
     return min(max(_DELAY, 3.0 * interval), duration / 20.0)
 
 

@@ -21,7 +21,7 @@ _MOST = 8
 
 
 def is_shared_term(name: str) -> bool:
-    """Tell whether a quantity may be one that was declared here: equations with parameters besides stay places."""
+    """Return whether a quantity may be one that was declared here: equations with parameters besides stay places."""
     return name.endswith(_TERM)
 
 
@@ -124,7 +124,7 @@ def _product(factors: Collection[Expr]) -> Expr:
 
 
 def _is_sum(e: Expr) -> bool:
-    """Tell whether an expression is a sum or a difference of several states and inputs, or a multiple of one."""
+    """Return whether an expression is a sum or a difference of several states and inputs, or a multiple of one."""
     operation, arguments = e.operation
     if operation in ("neg", "mul", "div"):
         inner = [a for a in arguments if a.symbols]

@@ -191,7 +191,7 @@ class Term(Effect):
 
     @property
     def _is_about_zero(self) -> bool:
-        """Tell whether it is the square of what is positive, such as a rate of reaction and a drag have: about a trim
+        """Return whether it is the square of what is positive, such as a rate of reaction and a drag have: about a trim
         a constant would be needed beside it."""
         if self.form != "square" or not self.centred:
             return False
@@ -418,8 +418,8 @@ class Ripple(Effect):
     """a sin(k (x - x0)) + b cos(k (x - x0)) of a position x: cogging and torque ripple of motors, teeth of gears, the
     pitch of a screw. About the middle x0 of its range phase and wave number are almost independent of each other.
 
-    turn   a turn in the unit of the position, 0 where it is no angle. Less than a good part of one shows none of this,
-           and of many the parts of one are told from each other.
+    turn   a turn in the unit of the position, 0 where it is no angle. A motion over a small part of a turn does not
+           show the effect, one over many turns determines it.
     """
 
     turn: float = 0.0

@@ -1,10 +1,10 @@
-"""Which manoeuvre would tell a cause from its aliases.
+"""Manoeuvres that would distinguish a cause from its aliases.
 
-The model with the cause is flown through planned manoeuvres, and so is that with a rival in the cause's place, each as
-it was estimated. Of the difference of their outputs, in the metric of the fitted noise, a part would vanish, since the
-rival's parameters and first states would follow: what cannot, e, is the expected gain in log-likelihood, e'e/2, of the
-cause over this rival from data of that manoeuvre alone. (The Kullback-Leibler distance of the two models there, as in
-designs of experiments that discriminate between models: Atkinson and Fedorov, Biometrika 62, 1975.)
+Planned manoeuvres are simulated with the model that has the cause, and with one that has an alias in its place, each as
+estimated. Let e be the difference of their outputs, in the metric of the fitted noise, less what a change of the
+alias's parameters and initial states can produce. Then e'e/2 is the expected gain in log-likelihood of the cause over
+this alias from data of that manoeuvre alone. (The Kullback-Leibler distance of the two models there, as in designs of
+experiments that discriminate between models: Atkinson and Fedorov, Biometrika 62, 1975.)
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 
-# An expected gain in log-likelihood that tells two models apart nearly for sure.
+# An expected gain in log-likelihood that distinguishes two models almost certainly.
 DISCRIMINATES = 6.0
 
 
@@ -72,8 +72,8 @@ def _so_far(gain: float) -> str:
 class Advice:
     """Say what to fly.
 
-    manoeuvres  each for the rivals that those before do not tell from the cause.
-    alike       rivals that none tells from it.
+    manoeuvres  each for the aliases that the preceding ones do not distinguish from the cause.
+    alike       aliases that none distinguishes from it.
     tried       inputs that were moved; none where no manoeuvre could be flown.
     length      of a manoeuvre and what follows at most, in ``time_unit``.
     """
@@ -102,14 +102,13 @@ def discrimination_advice(final: Refit, rivals: Sequence[Refit]) -> str:
 
 
 def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
-    """Return the manoeuvre that would tell the cause in ``final`` best from another one in its place, in each of
+    """Return the manoeuvre that would best distinguish the cause in ``final`` from another one in its place, in each of
     ``rivals``.
 
-    Manoeuvres of each control that moved in the records are tried, the other inputs held, from the state in which the
-    first record begins. Those that leave the envelope of the records before they are over are not flown: what the
-    models say there is not known, and nobody would let an unstable vehicle go so far. That is chosen which tells the
-    cause from most rivals, of such the one with the greatest least gain. On a disturbance, which is another in another
-    record, there is no advice.
+    Manoeuvres of each control that moved in the records are tried, the other inputs constant, from the state in which
+    the first record begins. Those that leave the envelope of the records are not considered: the models are not known
+    to be valid there. The one chosen distinguishes the cause from most of ``rivals``; among equals it has the greatest
+    smallest gain. There is no advice on a disturbance, since that differs from record to record.
     """
     names = [next(n for n in r.names if n not in final.names) for r in rivals]
     nothing = Advice((), tuple(names), (), 0.0)
@@ -143,7 +142,7 @@ def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
 
 
 def advice_of(search: Search, result: SearchResult, candidate: Candidate | None, aliases: Sequence[str]) -> str:
-    """Return which manoeuvre would tell a candidate from its aliases; "" where there are none, and after Ctrl-C."""
+    """Return which manoeuvre would distinguish a candidate from its aliases; "" without aliases, and after Ctrl-C."""
     if candidate is None or not aliases:
         return ""
     try:

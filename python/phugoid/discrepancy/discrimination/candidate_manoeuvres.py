@@ -1,4 +1,4 @@
-"""Manoeuvres that a model with a cause flies, and how much likelier than a rival it would be there."""
+"""Candidate manoeuvres, simulated with a cause, and its expected gain over an alias in each of them."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ _NOTHING = 1e-12
 
 class RivalAdjustment:
     """``moved`` (k, n_y, N): how the rival's outputs move with what is free in it, by units; ``tied`` (k,) is how
-    firmly each is held to its estimate, in units too. ``present`` (n_y, N) tells which samples there are."""
+    firmly each is held to its estimate, in units too. ``present`` (n_y, N) marks the samples that there are."""
 
     def __init__(self, present: _Mask, channels: Filter, moved: _Array, tied: _Array) -> None:
         self._present, self._tied = present, tied
         self._filter = channels.on(rows_of(present))
         self._columns = self._filter(moved[:, present])
-        # Of first states and parameters of any unit: as large as each other.
+        # Of initial states and parameters of any unit: as large as each other.
         gram = self._columns @ self._columns.T + np.diag(tied**2)
         size = np.sqrt(np.diag(gram))
         self._size = np.where(size > 0.0, size, 1.0)
@@ -83,7 +83,7 @@ def rows_of(present: _Mask) -> RowStructure:
     return RowStructure(segments, together, complete)
 
 
-# Samples of a planned record: what tells in more tells in these, and what takes longer is for another day.
+# Samples of a planned record. More of them discriminate no better, and slower effects need another plan.
 _SAMPLES = 400
 # Sizes to try, in units of how far the input went in the record: the greatest that keeps the vehicle within the
 # envelope, and for manoeuvres that dwell near the trim small ones.
@@ -93,7 +93,7 @@ _SIZES = (GREATEST, 1.2, 1.0, 0.8, 0.6, *_SMALL)
 _ENVELOPE, _STILL = 2.0, 10.0
 # Parts of the step towards the cause's outputs that the rival's parameters try, and how often.
 _PARTS, _ROUNDS = (1.0, 0.3), 2
-# What is this far below what tells, to first order, is not looked at again.
+# Manoeuvres whose gain is this far below that required, to first order, are not evaluated further.
 _HOPELESS = 0.3
 # A gain that a step changes by less is taken as it is then.
 _SETTLED = 0.1

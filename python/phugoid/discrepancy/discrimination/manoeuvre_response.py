@@ -1,4 +1,4 @@
-"""A refit in manoeuvres that were not flown yet: its outputs, and how they follow its parameters and first states."""
+"""The response of a refit to planned manoeuvres: outputs, and their sensitivities to parameters and initial states."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class BatchSimulation:
 
     Delays are those of each lane: inputs are taken from before, outputs put between the steps.
 
-    ``first`` are first states (n_x,) and ``values`` parameters (n_p,) nearby: they tell how short steps have to be,
-    as do ``sizes`` (n_x,) of the states, greater than zero.
+    ``first`` are initial states (n_x,) and ``values`` parameters (n_p,) nearby, from which the step
+    length follows, and from ``sizes`` (n_x,) of the states, greater than zero.
     """
 
     def __init__(self, model: Model, t: _Array, values: _Array, first: _Array, trim: _Array, sizes: _Array) -> None:
@@ -65,7 +65,7 @@ class BatchSimulation:
         return np.asarray(self._evaluator.dynamics(self._none, columns))
 
     def outputs(self, values: _Array, first: _Array, inputs: _Array, which: _Indices) -> tuple[_Array, _Array]:
-        """Return outputs (L, n_y, N) and states (L, n_x, N) for parameters (L, n_p), first states (L, n_x), and
+        """Return outputs (L, n_y, N) and states (L, n_x, N) for parameters (L, n_p), initial states (L, n_x), and
         ``which`` (L,) of inputs (M, n_u, N), linear between samples. Where a lane grows without limit they are not
         finite."""
         n, lanes = self.t.size, which.size
@@ -166,8 +166,8 @@ _DIFFERENCE, _MOST = 0.01, 1e-3
 class ManoeuvreResponse:
     """From the state in which its first record begins, at times ``t`` (N,) with inputs about ``trim`` (n_u,).
 
-    units   (k,) by which free parameters, then first states, move: ten standard errors; the range of the state.
-    tied    (k,) 1 for parameters, which the records at hand hold within some units, 0 for first states.
+    units   (k,) by which free parameters, then initial states, move: ten standard errors; the range of the state.
+    tied    (k,) 1 for parameters, which the records at hand hold within some units, 0 for initial states.
     late    (n_y,) delays of the sensors, s.
     """
 
@@ -208,7 +208,7 @@ class ManoeuvreResponse:
     def simulate(
         self, inputs: _Array, moves: _Array | None = None, which: NDArray[np.intp] | None = None
     ) -> tuple[_Array, _Array]:
-        """Return outputs (L, n_y, N) and states (L, n_x, N) with parameters and first states ``moves`` (L, k) units
+        """Return outputs (L, n_y, N) and states (L, n_x, N) with parameters and initial states ``moves`` (L, k) units
         from the estimates, and ``which`` (L,) of the inputs (M, n_u, N), unless given each of them; not finite where
         there is no solution."""
         which = np.arange(inputs.shape[0]) if which is None else which
@@ -222,7 +222,7 @@ class ManoeuvreResponse:
         return self._simulation.outputs(values, self._conditioned(values, first), inputs, which)
 
     def _conditioned(self, values: _Array, first: _Array) -> _Array:
-        """First states (L, n_x) that the model's initial conditions ask for."""
+        """Return the initial states (L, n_x) that the model's initial conditions require."""
         conditions = [(state, e) for end, state, e in self.model.end_conditions if end == "initial"]
         if not conditions:
             return first
@@ -242,7 +242,7 @@ class ManoeuvreResponse:
         return first
 
     def tangents(self, inputs: _Array) -> _Array:
-        """Return (M, k, n_y, N) changes of the outputs with each free parameter and first state, by its unit."""
+        """Return (M, k, n_y, N) changes of the outputs with each free parameter and initial state, by its unit."""
         n, k = inputs.shape[0], self.units.size
         moves = np.vstack([np.zeros(k), np.diag(self._small)])
         y, _ = self.simulate(inputs, np.tile(moves, (n, 1)), np.repeat(np.arange(n), k + 1))

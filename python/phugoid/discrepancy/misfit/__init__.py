@@ -34,7 +34,7 @@ _Array = NDArray[np.float64]
 # What is claimed is not chance at this level, of each kind of claim for each channel. Few claims can be false where
 # a report makes dozens of them.
 _ALPHA = 1e-3
-_ENOUGH = 30  # samples below which only the size of residuals is told
+_ENOUGH = 30  # samples below which only the size of residuals is reported
 _ENOUGH_FOR_REGIMES = 60
 _LJUNG_BOX = 20  # lags
 _WORTH = 0.15  # correlation
@@ -49,7 +49,7 @@ def _none() -> _Array:
 class ChannelMisfit:
     """Hold what is left of one output over all experiments, in its ``unit``.
 
-    n            samples, without outliers (which ``notes`` tell of).
+    n            samples, without outliers (which are in ``notes``).
     rms          of the residuals.
     noise        standard deviation of what in them cannot be predicted from their own past: the innovations of an AR
                  model of ``order`` lags (12 at most, by BIC). NaN where there are too few samples to say.
@@ -60,7 +60,7 @@ class ChannelMisfit:
     regimes, correlations   against states, inputs and their rates; the least likely chance first.
     spectrum, tones         power by frequency, and lines in it.
     units        of states and inputs, and of time where it is not s.
-    notes        what could not be told, and why.
+    notes        what could not be determined, and why.
     resolution   of the sensor, where its samples lie on a grid; 0 elsewhere.
 
     Claims have a chance of 0.001 each of being false where residuals are noise of the colour found.
@@ -91,7 +91,7 @@ class ChannelMisfit:
 
     @property
     def within_resolution(self) -> bool:
-        """Tell whether the residuals are what rounding to the steps of the sensor explains."""
+        """Return whether the residuals are what rounding to the steps of the sensor explains."""
         return self.rms <= WITHIN * self.resolution
 
     @property
@@ -109,12 +109,12 @@ class ChannelMisfit:
 
     @property
     def coloured(self) -> bool:
-        """Tell whether the residuals are not white."""
+        """Return whether the residuals are not white."""
         return self.white < _ALPHA
 
     @property
     def biased(self) -> bool:
-        """Tell whether their mean is off zero."""
+        """Return whether their mean is off zero."""
         from scipy.special import stdtr
 
         if not self.mean_error > 0.0:
@@ -145,7 +145,7 @@ class ChannelMisfit:
 
     @property
     def structured(self) -> bool:
-        """Tell whether anything stands out from white noise."""
+        """Return whether anything stands out from white noise."""
         return bool(self.coloured or self.biased or self.spans or self.tones or self.regime or self.follows)
 
     def summary(self) -> str:
@@ -179,7 +179,7 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
     series, others = same_rate(every)
     notes = [_on_outliers(name, every, time_unit_of(units))] if any(s.outliers.size for s in every) else []
     notes += [
-        f"{name} is sampled at another rate in '{s.experiment}', which only its spans of large residuals look at"
+        f"{name} is sampled at another rate in '{s.experiment}', which is used for spans of large residuals only"
         for s in others
     ]
     colour = burg([s.r[run] for s in series for run in s.segment.runs])

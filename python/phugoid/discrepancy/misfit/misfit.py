@@ -1,4 +1,4 @@
-"""What the simulation gets wrong: the residuals of a fit, channel by channel, with their figure."""
+"""The misfit of a fit: its residuals, channel by channel, with their figure."""
 
 from __future__ import annotations
 
@@ -68,15 +68,15 @@ class Misfit:
 
     @property
     def structured(self) -> bool:
-        """Tell whether anything stands out from white noise, in any channel."""
+        """Return whether anything stands out from white noise, in any channel."""
         return any(c.structured for c in self.channels.values())
 
     def summary(self) -> str:
-        """Return a line for each channel, the worst first, and what could not be told."""
+        """Return a line for each channel, the worst first, and what could not be determined."""
         lines = [self.channels[name].summary() for name in self.worst]
         notes = list(dict.fromkeys(note for name in self.worst for note in self.channels[name].notes))
         if not self.fit.converged:
-            notes.append(f"the fit is not at an optimum ({self.fit.status}): another one may leave other residuals")
+            notes.append(f"the fit is not at an optimum ({self.fit.status}): the residuals may differ at one")
         return "\n".join([*lines, *(f"Note: {note}." for note in notes)])
 
     def plot(self, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:

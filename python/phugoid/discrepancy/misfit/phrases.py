@@ -146,7 +146,7 @@ def percent(share: float) -> str:
 
 
 def _interval(begin: float, end: float) -> tuple[str, str]:
-    """Return both ends with as many decimals as tell them apart."""
+    """Return both ends with as many decimals as distinguish them."""
     digits = max(0, 1 - math.floor(math.log10(max(end - begin, 1e-9))))
     return f"{begin:.{digits}f}", f"{end:.{digits}f}"
 

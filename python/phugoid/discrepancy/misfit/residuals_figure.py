@@ -50,7 +50,7 @@ _MANY = 0.05  # of the samples
 
 
 def plot_residuals(
-    fit: FitResult, record: int | str = 0, channels: Sequence[str] | None = None
+    fit: FitResult, record: int | str = 0, channels: Sequence[str] | None = None, width: float = WIDTH
 ) -> tuple[Figure, dict[str, Axes]]:
     """Plot, for each output of an experiment, residuals over time, their autocorrelation and their power spectrum.
 
@@ -66,6 +66,7 @@ def plot_residuals(
 
     record    index or name of the experiment.
     channels  outputs to show; None: all that were measured.
+    width     of the figure, in inches; in a narrow one residuals stand above their autocorrelation and spectrum.
 
     Returns the figure and the axes by ``"<output>"``, ``"<output> autocorrelation"``, ``"<output> spectrum"``. Raises
     UnknownName for an output or an experiment that is not there, DataError where nothing was measured.
@@ -75,24 +76,26 @@ def plot_residuals(
     sigmas = sigmas_of(fit, chosen)
     axes: dict[str, Any] = {}
     with styled() as plt:
-        height = _ROW * len(names) + _HEAD + _FOOT
-        figure = plt.figure(figsize=(WIDTH, height))
+        narrow = width < WIDTH
+        height = (2.3 if narrow else 1.0) * _ROW * len(names) + _HEAD + _FOOT
+        figure = plt.figure(figsize=(width, height))
         grid = figure.add_gridspec(
-            len(names),
-            3,
-            width_ratios=(1.65, 1.0, 1.0),
-            hspace=0.42,
+            2 * len(names) if narrow else len(names),
+            2 if narrow else 3,
+            width_ratios=(1.0, 1.0) if narrow else (1.65, 1.0, 1.0),
+            hspace=0.62 if narrow else 0.42,
             wspace=0.3,
-            left=_LEFT / WIDTH,
-            right=1.0 - _RIGHT / WIDTH,
+            left=_LEFT / width,
+            right=1.0 - _RIGHT / width,
             bottom=_FOOT / height,
             top=1.0 - _HEAD / height,
         )
-        share: Any = [None, None]
+        share = None
         for i, name in enumerate(names):
-            axes[name] = share[0] = figure.add_subplot(grid[i, 0], sharex=share[0])
-            axes[f"{name} autocorrelation"] = figure.add_subplot(grid[i, 1])
-            axes[f"{name} spectrum"] = figure.add_subplot(grid[i, 2])
+            first, rest = (grid[2 * i, :], 2 * i + 1) if narrow else (grid[i, 0], i)
+            axes[name] = share = figure.add_subplot(first, sharex=share)
+            axes[f"{name} autocorrelation"] = figure.add_subplot(grid[rest, -2])
+            axes[f"{name} spectrum"] = figure.add_subplot(grid[rest, -1])
             _draw_time(axes[name], chosen, name, sigmas.get(name, math.nan))
             series = channel_series([chosen], name)
             enough = bool(series) and series[0].r.size >= _ENOUGH and bool(np.any(series[0].r != 0.0))
@@ -110,13 +113,14 @@ def plot_residuals(
             axes[f"{names[-1]}{what}"].set_xlabel(plain(text))
             axes[f"{names[-1]}{what}"].set_visible(True)
         for name in names[:-1]:
-            axes[name].tick_params(labelbottom=False)
+            axes[name].tick_params(labelbottom=narrow)
         _finish(
             figure,
             axes,
             names,
             f"{fit.model.name}: {chosen.name}, {_called(chosen)}s",
-            bool(chosen.innovations),
+            f"measured − {'predicted' if chosen.innovations else 'model'}",
+            narrow,
         )
     return figure, Panels(axes)
 
@@ -161,7 +165,7 @@ def _draw_time(axis: Axes, record: Record, name: str, sigma: float) -> None:
     axis.margins(x=0.01)
     axis.locator_params(axis="y", nbins=5)
     axis.set_ylabel(plain(labelled(name, record.units)))
-    axis.yaxis.set_label_coords(-0.25, 0.5)
+    axis.yaxis.set_label_coords(-0.25 if axis.get_position().width < 0.5 else -0.2, 0.5)
 
 
 def _empty(axis: Axes, text: str) -> None:
@@ -213,25 +217,24 @@ def _uneven(series: Series) -> bool:
     return bool(np.mean(np.abs(steps - np.rint(steps)) > _UNEVEN) > _MANY)
 
 
-def _finish(figure: Figure, axes: dict[str, Any], names: Sequence[str], title: str, predicted: bool) -> None:
+def _finish(figure: Figure, axes: dict[str, Any], names: Sequence[str], title: str, line: str, narrow: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    left = _LEFT / WIDTH
-    headline(figure, left, title)
-    handles: list[Any] = [
-        Line2D([], [], color=RESIDUAL, linewidth=0.8, label=f"measured − {'predicted' if predicted else 'model'}"),
-        Patch(color=BAND, label="±2σ"),
-    ]
-    keys = {names[0]: handles}
-    keys[f"{names[0]} autocorrelation"] = [
-        Line2D([], [], color=MEASURED, linewidth=1.0, label="autocorrelation"),
-        Patch(color=BAND, label="95 % if white"),
-    ]
-    keys[f"{names[0]} spectrum"] = [
-        Line2D([], [], color=MEASURED, linewidth=1.0, label="power"),
-        Patch(color=BAND, label="95 % if white"),
-    ]
+    headline(figure, 0.01 if narrow else _LEFT / WIDTH, title)
+    band = Patch(color=BAND, label="95 % if white")
+    keys: dict[str, list[Any]] = {
+        names[0]: [
+            Line2D([], [], color=RESIDUAL, linewidth=0.8, label=line),
+            Patch(color=BAND, label="±2σ, or 95 % if white" if narrow else "±2σ"),
+        ]
+    }
+    for what, label in (("autocorrelation", "autocorrelation"), ("spectrum", "power")):
+        if narrow:  # each panel has its own heading
+            for name in names:
+                axes[f"{name} {what}"].set_title(label, fontsize=6.5, loc="left", pad=1.5)
+        else:
+            keys[f"{names[0]} {what}"] = [Line2D([], [], color=MEASURED, linewidth=1.0, label=label), band]
     for name, each in keys.items():
         left = axes[name].get_position().x0
         write_keys(figure, left, each, columnspacing=0.9, handlelength=1.2, handletextpad=0.4, fontsize=6.5)

@@ -8,11 +8,10 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from ...figures import NARROW, WIDTH
 from ...figures.fit import sigmas_of
 from ...modelling.model import Model
 from ...notebook import equation
-from ...pages import PageTable, histories, picture, render, sources
+from ...pages import WIDTHS, PageTable, histories, picture, render, sources
 from ...parameters import Estimate
 from ...time_unit import SECONDS, TimeUnit
 from ...writing import PAGES, check_folder, check_suffix, write
@@ -38,7 +37,6 @@ __all__ = [
 Outcome = Literal["named", "nothing", "unexplained"]
 
 _WIDTH = 110
-_WIDTHS = (WIDTH, NARROW)  # of each figure of the page, in inches
 # Of the residuals' power, what can be predicted and is most of it.
 _MOSTLY = 0.9
 # Ratio of residuals to their noise, from which on what named causes leave is worth a word.
@@ -140,7 +138,7 @@ def value_of(finding: Finding) -> str:
 
 
 def _ends(low: float, high: float) -> tuple[str, str]:
-    """Return both ends with as many digits as tell them apart."""
+    """Return both ends with as many digits as distinguish them."""
     largest = max(abs(low), abs(high))
     digits = 3
     if high > low:
@@ -201,15 +199,15 @@ def finding_lines(finding: Finding) -> list[str]:
             "Together with the other causes it does not improve the prediction of held-out data; it is doubtful."
         )
     if finding.aliases:
-        rivals = [
-            f"{name} (gain {with_sign(finding.rivals[name])})" if name in finding.rivals else name
+        others = [
+            f"{name} (gain {with_sign(finding.alternatives[name])})" if name in finding.alternatives else name
             for name in finding.aliases
         ]
         doubted = "is not proved" if finding.ringing else "does not predict held-out data"
         told = "The data do not distinguish it from" if finding.cause else f"What fits, but {doubted}"
         if finding.curve and not finding.cause:
             told = "Name of this candidate"
-        lines.append(f"{told}: {', '.join(rivals)}.")
+        lines.append(f"{told}: {', '.join(others)}.")
     if finding.advice:
         lines.append(finding.advice)
     return lines
@@ -342,10 +340,10 @@ def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
 
 
 def _explained(diagnosis: DiagnosisResult) -> Any:
-    """Return the figure that tells the verdict; None where no finding has a part of the misfit that it explains."""
+    """Return the figure that shows the verdict; None where no finding has a part of the misfit that it explains."""
     if not any(f.explained == f.explained for f in diagnosis.findings):
         return None
-    return picture(*(explained_figure(diagnosis.findings, width)[0] for width in _WIDTHS))
+    return picture(*(explained_figure(diagnosis.findings, width)[0] for width in WIDTHS))
 
 
 def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
@@ -358,7 +356,7 @@ def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
     pictures = [
         (
             f"Residuals of {n}: {what_stands_out(found.channels[n])}",
-            picture(*(misfit_figure(found, [n], width)[0] for width in _WIDTHS)),
+            picture(*(misfit_figure(found, [n], width)[0] for width in WIDTHS)),
         )
         for n in found.worst[:_SHOWN]
     ]
@@ -374,14 +372,14 @@ def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
 
 
 def _cause(finding: Finding, time: TimeUnit) -> dict[str, Any]:
-    gains = {finding.cause: finding.gain, **{n: finding.rivals.get(n, float("nan")) for n in finding.aliases}}
+    gains = {finding.cause: finding.gain, **{n: finding.alternatives.get(n, float("nan")) for n in finding.aliases}}
     rows = [[name, with_sign(gain)] for name, gain in gains.items()] if finding.cause and finding.aliases else []
     return {
         "name": alias_set(finding),
         "status": finding.status,
         "lines": finding_lines(finding),
-        "rivals": PageTable(["candidate", "gain in log-likelihood"], rows, "lr"),
-        "curve": picture(*(curve_figure(finding, time, width)[0] for width in _WIDTHS)) if finding.curve else None,
+        "alternatives": PageTable(["candidate", "gain in log-likelihood"], rows, "lr"),
+        "curve": picture(*(curve_figure(finding, time, width)[0] for width in WIDTHS)) if finding.curve else None,
     }
 
 
@@ -393,7 +391,7 @@ def _evidence(diagnosis: DiagnosisResult) -> dict[str, Any]:
         rows.append([s.name, *numbers, s.explanation, s.remark])
     heads = ["candidate", "statistic", "ranking", "white", "distinct", "explanation", "remark"]
     return {
-        "picture": picture(*(ranking_figure(ranking, diagnosis.threshold, width)[0] for width in _WIDTHS)),
+        "picture": picture(*(ranking_figure(ranking, diagnosis.threshold, width)[0] for width in WIDTHS)),
         "table": PageTable(heads, rows, "lrrrrtt"),
     }
 
@@ -450,8 +448,8 @@ def _gain(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[str, A
         "grown": ", ".join(name for name in gain.channels if gain.change(name, held_out=True) > _GROWN),
         "totals": PageTable(["total", "gain"], totals, "lr"),
         "channels": PageTable(heads, rows, "llrrrrrr"),
-        "overview": picture(*(gain_figure(gain, diagnosis.fit.model.units, width)[0] for width in _WIDTHS)),
-        "histories": picture(*(findings_figure(diagnosis.fit, extension, None, width)[0] for width in _WIDTHS)),
+        "overview": picture(*(gain_figure(gain, diagnosis.fit.model.units, width)[0] for width in WIDTHS)),
+        "histories": picture(*(findings_figure(diagnosis.fit, extension, None, width)[0] for width in WIDTHS)),
     }
 
 

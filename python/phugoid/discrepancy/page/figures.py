@@ -74,9 +74,9 @@ def explained_figure(findings: Sequence[Finding], width: float = WIDTH) -> tuple
     shown = [f for f in findings if np.isfinite(f.explained)]
     if not shown:
         raise DataError("explained_figure: no finding has a part of the misfit that it explains")
-    rivals = [[n for n in f.aliases if n in f.rivals_explained][:_OTHERS] for f in shown]
+    alternatives = [[n for n in f.aliases if n in f.alternatives_explained][:_OTHERS] for f in shown]
     outputs = list(dict.fromkeys(name for f in shown for name in f.explained_outputs))
-    rows = sum(1 + len(each) for each in rivals)
+    rows = sum(1 + len(each) for each in alternatives)
     with styled({"hatch.linewidth": 0.6}) as plt:
         narrow = width < WIDTH  # the panels stand one below the other
         figure, (left, right) = plt.subplots(
@@ -88,7 +88,7 @@ def explained_figure(findings: Sequence[Finding], width: float = WIDTH) -> tuple
             gridspec_kw={} if narrow else {"width_ratios": [1.7, 1.0]},
         )
         row, labels = 0, []
-        for f, others in zip(shown, rivals, strict=True):
+        for f, others in zip(shown, alternatives, strict=True):
             color = MODEL if f.status == "named" else "#B5CFE0"
             fitted = f.explained_in == "the fitted records"
             hatch = "////" if fitted else None
@@ -102,7 +102,7 @@ def explained_figure(findings: Sequence[Finding], width: float = WIDTH) -> tuple
             labels.append(f"{name} ({', '.join(remarks)})" if remarks else name)
             for name in others:
                 row += 1
-                left.plot(100.0 * f.rivals_explained[name], row, "D", ms=4.0, mfc="white", mec=RESIDUAL, mew=0.9)
+                left.plot(100.0 * f.alternatives_explained[name], row, "D", ms=4.0, mfc="white", mec=RESIDUAL, mew=0.9)
                 labels.append(f"or {name}")
             row += 1
         left.axvline(0.0, color=INPUT, linewidth=0.6)

@@ -144,7 +144,7 @@ class Search:
             return self._interrupted(at[-1])
 
     def _stands_in(self, result: SearchResult) -> bool:
-        """Tell whether terms fit that are not named, and those that are named do less than half of what the model is
+        """Return whether terms fit that are not named, and those that are named do less than half of what the model is
         wrong by."""
         base, full, final = self.cache.base, result.full, result.final
         if full.names == final.names or not is_structured(base, self.settings.error):
@@ -225,7 +225,7 @@ class Search:
         return self.confirmation.accepted(at, self.refitting.tries(at, simple=True))[0]
 
     def _is_beyond_reason(self, at: Refit) -> bool:
-        """Tell whether a term has a size that is not physical: about a fit that is far off in its parameters it may
+        """Return whether a term has a size that is not physical: about a fit that is far off in its parameters it may
         undo that."""
         return any(not is_physical(at, c) for c in at.candidates)
 
@@ -299,7 +299,7 @@ class Search:
         return at
 
     def _explains(self, base: Refit, more: Refit) -> bool:
-        """Tell whether a refit explains more than a minor part of the misfit of data held out."""
+        """Return whether a refit explains more than a minor part of the misfit of data held out."""
         explained = self.assessment.explained(base, more)
         return explained is not None and not self.assessment.is_minor(explained)
 
@@ -380,12 +380,12 @@ class Search:
         return self.cache.refit([c for c in at.candidates if c is not candidate], at.fit)
 
     def _is_chance(self, at: Refit, candidate: Candidate) -> bool:
-        """Tell whether a term, beside the others, gains no more in likelihood than chance gives."""
+        """Return whether a term, beside the others, gains no more in likelihood than chance gives."""
         without = self._without(at, candidate)
         return without is not None and self.assessment.gain(without, at) <= self.assessment.needed(at, candidate)
 
     def _wanders(self, at: Refit, candidate: Candidate) -> bool:
-        """Tell whether a term of this record alone, beside the others, is no likelier than sensors that wander."""
+        """Return whether a term of this record alone, beside the others, is no likelier than sensors that wander."""
         if candidate.transferable:
             return False
         without = self._without(at, candidate)
@@ -404,7 +404,7 @@ class Search:
         return at
 
     def _is_minor(self, before: Refit, after: Refit) -> bool:
-        """Tell whether the last step explains less of the misfit than is worth a name."""
+        """Return whether the last step explains less of the misfit than is worth a name."""
         explained = self.assessment.explained(before, after)
         return explained is None or explained.part < self.assessment.settings.minor
 

@@ -1,5 +1,5 @@
-"""Inputs or outputs that were recorded by another clock than the rest: late by a constant time, and by more as time
-goes on.
+"""Inputs or outputs that were recorded with another clock than the rest: with an offset of time that changes during the
+record.
 
 Two recorders without a common time base differ by an offset and by a rate. An offset is a delay, which is among the
 candidates; a rate is not, and looks like a delay, a lag, or an effectiveness that drifts.
@@ -31,7 +31,7 @@ _ITERATIONS, _ENOUGH, _FARTHEST = 10, 0.02, 40.0
 _SHARE = 0.1
 # A clock has a rate of its own where that moves the end of a record by more samples than this.
 _LEAST = 1.0
-# Samples on either side that tell the slope of an output.
+# Samples on either side from which the slope of an output is estimated.
 _NEAR = 3
 # Standard errors by which a rate differs from zero, or two from each other.
 _SURE = 3.0

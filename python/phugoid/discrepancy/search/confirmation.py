@@ -1,5 +1,5 @@
 """The second and third stage of the search: candidates fitted with the model, and replaced by others that explain more;
-which refit is confirmed by data held out, and what the data do not tell from it.
+which refit is confirmed by data held out, and its aliases.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class Refitting:
                     break
 
     def _apart(self, at: Refit, one: Candidate, other: Candidate) -> bool:
-        """Tell whether the estimates of two candidates hardly depend on each other: none casts doubt on the other."""
+        """Return whether the estimates of two candidates hardly depend on each other: none casts doubt on the other."""
         return at.own.correlation(one.parameters, other.parameters) < self.settings.apart
 
     def rivals(self, at: Refit, candidate: Candidate, fit: bool = True) -> list[tuple[Refit, float]]:
@@ -147,7 +147,7 @@ class ConfirmationSettings:
 
     chances  next best candidates that are tried when the best gains nothing on held-out data.
     ringing  candidates that are refitted where residuals ring.
-    vuong    a rival is an alias unless Vuong's test tells them apart by this, or it has less than half of the gain in
+    vuong    a rival is an alias unless Vuong's test distinguishes them by this, or it has less than half of the gain in
              log-likelihood and is ``far`` behind.
     richer   log-likelihood by which one with more unknowns must be ahead to be an alias.
     left     times as much of the misfit that a term may leave that stands in place of one with more unknowns.
@@ -176,7 +176,7 @@ class Found:
     ringing   Hz, of modes of the model at which the residuals ring, where that is what none explains beyond doubt.
     gain      in log-likelihood over the model with the other candidates.
     threshold that it had to pass.
-    rivals    those that the data do not tell from it: name -> gain they would have instead, the likeliest first.
+    rivals    those that the data do not distinguish from it: name -> gain they would have instead, the likeliest first.
     explained the part of the misfit that it explains in free simulation of held-out data, beside the others.
     rivals_explained   the same of the rivals, in its place.
     """
@@ -262,7 +262,7 @@ class Confirmation:
         return None, unexplained
 
     def _is_progress(self, current: Refit, found: Refit) -> bool:
-        """Tell whether a refit has more than the current one: what explains next to nothing displaces no earlier
+        """Return whether a refit has more than the current one: what explains next to nothing displaces no earlier
         finding, unless it explains most of what that leaves, or is likelier with plainer terms: a derivative of the
         input and one of a rate act together like the input with a lag."""
         names, assess = {*current.names}, self._assessment
@@ -276,7 +276,7 @@ class Confirmation:
         return assess.explains_what_is_left(current, found)
 
     def _is_credible(self, current: Refit, found: Refit) -> bool:
-        """Tell whether the new terms of a refit are within what is physical, or explain more than a minor finding
+        """Return whether the new terms of a refit are within what is physical, or explain more than a minor finding
         does: in what others leave, little is explained best by terms that no vehicle has."""
         if all(is_physical(found, c) for c in found.beside(current.candidates)):
             return True
@@ -285,7 +285,7 @@ class Confirmation:
 
     @staticmethod
     def _is_plainer(current: Refit, found: Refit) -> bool:
-        """Tell whether the terms that a refit has instead of those of another are plainer, with no more unknowns."""
+        """Return whether the terms that a refit has instead of those of another are plainer, with no more unknowns."""
         new, gone = found.beside(current.candidates), current.beside(found.candidates)
         unknowns = [sum(len(c.parameters) for c in terms) for terms in (new, gone)]
         return unknowns[0] <= unknowns[1] and max(map(complexity, new), default=-1) < min(map(complexity, gone))
@@ -369,7 +369,7 @@ class Confirmation:
         alike = {c.name for c in self._screen.alike(without, candidate, filter)}
         rivals, parts = {}, {}
         own, held = assess.explained(without, at), assess.held_out(without, at)
-        # Where a term leaves nothing but noise, likelihoods tell what first order does not.
+        # Where a term leaves nothing but noise, likelihoods show what the first order does not.
         clean = not is_structured(at, self.settings.noise)
         confirmed = bool(self._cache.validation) and candidate.transferable and own is not None and own.part > _MOST
         for r, _ in self._refitting.rivals(at, candidate, fit=named):
@@ -387,7 +387,7 @@ class Confirmation:
             whole = assess.gain(without, at) / 2
             if richer and gain < whole + self.settings.richer:
                 continue
-            # The test says little where few samples tell the two apart: this much less is no matter of chance.
+            # The test says little where few samples distinguish the two: this much less is no matter of chance.
             if gain < 0.5 * whole and whole - gain > self.settings.far:
                 continue
             like = other.name in alike and gain > 0.5 * whole and not (clean and d.sum() > self.settings.beyond)
@@ -395,7 +395,7 @@ class Confirmation:
                 continue
             explained = assess.explained(without, r)  # last, for it takes a fit to the data held out
             much = explained is None or own is None or explained.part > self.settings.alias * own.part
-            # Two kinds of evidence are needed to tell them apart: coloured noise is part of what is simulated freely.
+            # Two kinds of evidence are needed to distinguish them: coloured noise is part of what is simulated freely.
             behind = held.gain - assess.held_out(without, r).gain
             if not (like and much) and behind > self.settings.beyond and assess.is_worse(without, r, at):
                 continue

@@ -1,8 +1,9 @@
-"""What no candidate is: a random disturbance, a noisy input, a single event, or an unknown function of one variable.
+"""Causes that are not terms of the model: a random disturbance, a noisy input, a single event, or an unknown function
+of one variable.
 
 Each is a random time history at one place of the model, or a random function there, with a marginal likelihood about a
 fit (`RandomEffects`); with white process noise that is the likelihood of the filter-error method, linearised. These
-likelihoods, and that of the residuals as autoregressive noise of the sensors, are of the same data: they tell which of
+likelihoods, and that of the residuals as autoregressive noise of the sensors, are of the same data: they show which of
 them it is, and at which place.
 """
 
@@ -264,7 +265,7 @@ def functions(
         low, high = min(float(c.min()) for c in columns), max(float(c.max()) for c in columns)
         if not high - low > 1e-9 * max(abs(low), abs(high)):
             continue
-        # Any function of two levels, as a relay has, is a constant and a linear part; three tell little more.
+        # Any function of two levels, as a relay has, is a constant and a linear part; three determine little more.
         if 0 < levels_of(np.concatenate(columns)) <= _FEW_LEVELS:
             continue
         for bend in bends:

@@ -1,4 +1,4 @@
-"""The decision whether a cause is named: the evidence for it, and what that must be."""
+"""The decision whether a cause is named: its evidence, and the thresholds for it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = [
     "is_plausible",
 ]
 
-# Families of candidates that tell of the time in a record alone.
+# Families of candidates that depend on the time in a record alone.
 _DRIFTS = ("drift", "variation", "step")
 
 
@@ -56,7 +56,7 @@ class AssessmentSettings:
     plainly      times its threshold beyond which a gain is no random walk of a sensor.
     far          times the RMS of residuals on data held out, of that in the fit, beyond which the model is wrong there.
     moved        what two models differ by on data held out, as a sum of squares in units of the noise, below which
-                 these do not tell them from each other: the gain that the truer of them has is half of that.
+                 these do not distinguish them: the gain of the better one is half of that.
     """
 
     false_alarm: float = 0.01
@@ -102,12 +102,12 @@ class Evidence:
 
     @property
     def significant(self) -> bool:
-        """Tell whether the gain is more than chance gives."""
+        """Return whether the gain is more than chance gives."""
         return self.gain > self.threshold
 
     @property
     def accepted(self) -> bool:
-        """Tell whether it is a finding: significant, confirmed by the likelihood of held-out data, and the free
+        """Return whether it is a finding: significant, confirmed by the likelihood of held-out data, and the free
         simulation of these is not worse for it."""
         worse = self.explained is None or self.explained.worse
         return self.significant and self.predicts and not (self.rings or self.wanders or worse)
@@ -148,7 +148,7 @@ class Assessment:
         return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings, wanders)
 
     def is_admissible(self, base: Refit, more: Refit) -> bool:
-        """Tell whether the data determine what a refit has more than another, and it follows no noise."""
+        """Return whether the data determine what a refit has more than another, and it follows no noise."""
         return all(
             is_determined(more, c) and not self._follows_noise(base, more, c) for c in more.beside(base.candidates)
         )
@@ -192,14 +192,14 @@ class Assessment:
         return max(whitened, self._gain_in_error(base, more))
 
     def _is_plain(self, base: Refit, more: Refit) -> bool:
-        """Tell whether a model has terms beside a base that have one unknown and no state of their own: others follow
+        """Return whether a model has terms beside a base that have one unknown and no state of their own: others follow
         much in residuals that are no noise."""
         new = more.beside(base.candidates)
         return bool(new) and all(c.transferable and complexity(c) < RICH for c in new)
 
     def _frees_of_error(self, base: Refit, more: Refit) -> bool:
-        """Tell whether the residuals are error of the model, and a plain term frees free simulation of held-out data of
-        most of it."""
+        """Return whether the residuals are error of the model, and a plain term removes most of it in free simulation
+        of held-out data."""
         return self._is_plain(base, more) and self._gain_in_error(base, more) > self.threshold()
 
     def _whitened_gain(self, base: Refit, more: Refit) -> float:
@@ -267,7 +267,7 @@ class Assessment:
         return self._on_validation[key]
 
     def _is_wrong_elsewhere(self, at: Refit) -> bool:
-        """Tell whether a model is wrong on the validation records by much more than on those of the fit: what leaves
+        """Return whether a model is wrong on the validation records by much more than on those of the fit: what leaves
         that as it is has not been missed there."""
         linear = self._cache.on_validation(at)
         if linear is None or not is_structured(Refit((), linear.fit), self.settings.error):
@@ -281,7 +281,7 @@ class Assessment:
         return self.compared(base, base, more)
 
     def explains_what_is_left(self, current: Refit, more: Refit) -> bool:
-        """Tell whether a model explains most of the misfit that another one still has, in free simulation of held-out
+        """Return whether a model explains most of the misfit that another one still has, in free simulation of held-out
         data, where that is more than noise."""
         if not is_structured(current, self.settings.error):
             return False
@@ -289,22 +289,22 @@ class Assessment:
         return found is not None and found.significant and found.part > self.settings.most
 
     def is_worse(self, base: Refit, one: Refit, other: Refit) -> bool:
-        """Tell whether, beside the terms of a base, free simulation of held-out data is clearly worse with those of
+        """Return whether, beside the terms of a base, free simulation of held-out data is clearly worse with those of
         one model than with those of another: by a part of the misfit of the base that is not minor."""
         found = self._compared(base, one, other, base)
         return found is not None and found.significant and found.part > self.settings.minor
 
     def is_named(self, at: Refit, candidate: Candidate, explained: Explained | None) -> bool:
-        """Tell whether a finding names a cause: of a plausible size, and worth it in free simulation beyond chance."""
+        """Return whether a finding names a cause: of a plausible size, and more than minor in free simulation."""
         return is_plausible(at, candidate, explained) and not self.is_minor(explained)
 
     def is_minor(self, explained: Explained | None) -> bool:
-        """Tell whether a finding explains less of the misfit than is worth a name, or no more than by chance."""
+        """Return whether a finding explains less of the misfit than is worth a name, or no more than by chance."""
         return explained is not None and not (explained.significant and explained.part >= self.settings.minor)
 
     def goes_before(self, base: Refit, term: Refit, other: Refit) -> bool:
-        """Tell whether a term goes before a drift or a disturbance of the records alone: other records confirm it, and
-        explain most of their misfit by it, or the other is likelier by no more than chance.
+        """Return whether a term is preferred to a drift or a disturbance of the records alone: other records confirm
+        it, and it explains most of their misfit, or the other is likelier by no more than chance.
 
         A parameter that drifts can follow any motion that changes in the course of a record, and no other record can
         speak against it.
@@ -361,13 +361,13 @@ class Assessment:
         return self._blocks[at]
 
     def predicts(self, held: HeldOut) -> bool:
-        """Tell whether a gain on held-out data is one."""
+        """Return whether a gain on held-out data is one."""
         s = self.settings
         return held.gain > max(s.held_out, s.sure * held.deviation) and held.elsewhere > 0.0
 
     def held_out_rms(self, at: Refit, known: bool = False) -> dict[str, float]:
-        """Output -> RMS on the validation data of the model as it was fitted, first states and biases as they fit best;
-        empty without such data. With ``known`` only of what was fitted to them before."""
+        """Output -> RMS on the validation data of the model as it was fitted, initial states and biases as they fit
+        best; empty without such data. With ``known`` only of what was fitted to them before."""
         linear = self._cache.as_fitted(at, known=known)
         if linear is None:
             return {}
@@ -378,13 +378,13 @@ class Assessment:
         return found
 
     def halves(self, base: Refit, more: Refit) -> bool:
-        """Tell whether the mean square of the validation residuals is halved, in the mean of the outputs."""
+        """Return whether the mean square of the validation residuals is halved, in the mean of the outputs."""
         before, after = self.held_out_rms(base), self.held_out_rms(more)
         ratios = [(after[n] / before[n]) ** 2 for n in before] if after else []
         return bool(ratios) and float(np.mean(ratios)) < self.settings.half
 
     def _is_tone_of_these_records(self, base: Refit, more: Refit, candidate: Candidate) -> bool:
-        """Tell whether a candidate is a periodic disturbance of whose frequency no validation record has more than
+        """Return whether a candidate is a periodic disturbance of whose frequency no validation record has more than
         chance gives, whatever its phase there: among so many frequencies that is what noise looks like."""
         linear = self._cache.on_validation(base)
         if linear is None or not isinstance(candidate, Periodic):
@@ -409,9 +409,9 @@ class Assessment:
         return 2.0 * (more.through(filter).log_likelihood - base.through(filter).log_likelihood)
 
     def wanders(self, base: Refit, more: Refit, candidate: Candidate) -> bool:
-        """Tell whether a candidate is no likelier than a random walk of the sensor, or, of what acts on the vehicle, of
-        all sensors: a walk rises, falls and swings slowly by chance, as many slow motions do. Beside a term that is one
-        no walk is left; where one is, the term must be significant in noise that walks."""
+        """Return whether a candidate is no likelier than a random walk of the sensor, or of all sensors where it acts
+        on the vehicle: a walk rises, falls and swings slowly by chance, as many slow motions do. Beside a term that is
+        one no walk is left; where one is, the term must be significant in noise that walks."""
         if not isinstance(candidate, Effect):
             return False
         of_sensor = candidate.place.kind == "output"
@@ -421,8 +421,8 @@ class Assessment:
         return beyond < (self.needed(more, candidate) if after > 0.0 else 0.0)
 
     def _rings_too(self, at: Refit, candidate: Candidate) -> bool:
-        """Tell whether a candidate is a disturbance at the frequency of a mode at which the residuals of the base ring:
-        a tone there, and noise that came through the mode, are too much alike."""
+        """Return whether a candidate is a disturbance at the frequency of a mode at which the residuals of the base
+        ring: a tone there cannot be distinguished from noise that excites the mode."""
         ringing = self._cache.ringing(self._cache.base)
         if candidate.transferable or ringing is None:
             return False
@@ -431,7 +431,7 @@ class Assessment:
 
 
 def is_physical(at: Refit, candidate: Candidate) -> bool:
-    """Tell whether all parameters of a candidate lie within what is physical, or have a reason not to."""
+    """Return whether all parameters of a candidate lie within what is physical, or have a reason not to."""
     limits = candidate.physical(at.linear.points)
     values = {n: at.own.parameter(n)[0] for n in limits}
 
@@ -447,7 +447,7 @@ _ALL, _NOISE = 0.95, 0.05
 
 
 def is_plausible(at: Refit, candidate: Candidate, explained: Explained | None) -> bool:
-    """Tell whether a candidate is of a size that is physical, or leaves nothing but noise of a large misfit, in free
+    """Return whether a candidate is of a size that is physical, or leaves nothing but noise of a large misfit, in free
     simulation too: where large parts of an equation balance each other, one of them is large beside what is left."""
     if is_physical(at, candidate):
         return True
@@ -459,8 +459,8 @@ _SIZED = ("lag", "rate_limit", "backlash", "deadband", "saturation")
 
 
 def is_determined(at: Refit, candidate: Candidate) -> bool:
-    """Tell whether the data determine the size of a lag or of a limit: one that may have any size explains no more than
-    that its input does not act."""
+    """Return whether the data determine the size of a lag or of a limit. If it may have any size, it only shows that
+    its input has no effect."""
     if getattr(candidate, "family", "") not in _SIZED or not candidate.shape_names:
         return True
     value, error = at.parameters(candidate)[candidate.shape_names[0]]

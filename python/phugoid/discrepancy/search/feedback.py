@@ -1,9 +1,9 @@
 """Noise of a sensor that a controller feeds back into the inputs.
 
-Where a controller acts on a measurement, the input has a part that goes with the noise of that measurement at the same
+Where a controller acts on a measurement, the input has a part that follows the noise of that measurement at the same
 sample. A term of the input in that output then seems to predict the noise; but the input follows the noise, and not the
-output the input. What of the input was determined before the sample tells them apart: noise does not go with it,
-a term in the output does (Ljung 1999, section 13.4, on identification in closed loop).
+output the input. The two are distinguished by the part of the input that was determined before the sample: noise
+is not correlated with it, a term in the output is (Ljung 1999, section 13.4, on identification in closed loop).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _Array = NDArray[np.float64]
 # Part of the power of an output's residuals that their past does not predict, from which on they are noise.
 _NOISE = 0.5
 # Samples before, from which the signal of a candidate is predicted; parts of the signal's power that must be predicted,
-# and not, for the two to be told apart.
+# and not, to distinguish the two.
 _LAGS, _EACH = 10, 1e-4
 # By how much twice the log-likelihood of noise that is fed back must be ahead of that of a term; and below what its own
 # loss must be, for where both are there noise alone does not explain the signal.
@@ -30,7 +30,7 @@ _AHEAD, _ALONE = 4.0, 9.0
 
 
 def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
-    """Tell whether the signal of a candidate in an output goes with the noise of that output only by what was not
+    """Return whether the signal of a candidate in an output goes with the noise of that output only by what was not
     determined before each sample, so that it follows the noise: of two coefficients in place of one, for what its past
     and that of the residuals predict and for the rest, the first is likelier to be zero than to equal the second."""
     if candidate.place.kind != "output" or len(candidate.coefficients) != 1:

@@ -1,4 +1,4 @@
-"""What was found to be missing, the model with it, what that gains, and the diagnosis that holds them."""
+"""Findings of a diagnosis, the model extended by them, its gain, and the diagnosis that contains them."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from ...fit_result import FitResult
 from ...modelling.model import Model
 from ...notebook import notebook_page, paragraph, sparkline, table
 from ...parameters import plus_minus, text_table
+from ...renamed import Renamed
 from ..misfit import ChannelMisfit
 from ..misfit.misfit import Misfit, misfit
 
 __all__ = ["DiagnosisResult", "ExtensionResult", "Finding", "Gain", "Scored"]
 
-# Part of the residuals' power that their past predicts, from which on they are told to have structure.
+# Part of the residuals' power that their past predicts, from which on they are reported to have structure.
 _STRUCTURE = 0.05
 
 
@@ -80,7 +81,7 @@ class Finding:
     explanation    of the cause, in plain words.
     advice         which manoeuvre would distinguish it from its aliases, or that none of those tried would; "" without
                    aliases, or where no manoeuvre stays within the envelope of the records.
-    rivals         alias -> gain in log-likelihood that it would have in place of the cause.
+    alternatives   candidate -> gain in log-likelihood that it would have in place of the cause.
     units          parameter -> unit, for words.
     ringing        Hz, of lightly damped modes of the model at which the residuals ring, where the misfit is that and is
                    unexplained; ``gain`` is then by noise that does not ring.
@@ -92,7 +93,7 @@ class Finding:
     explained_interval   of 95 %, by a block bootstrap over time.
     explained_another    95 % prediction interval of that part on another record of the same kind and length.
     explained_outputs    output -> by how much its mean square falls, in parts of that of the model diagnosed.
-    rivals_explained     alias -> part of the misfit that it would explain in place of the cause.
+    alternatives_explained   candidate -> part of the misfit that it would explain in place of the cause.
     curve          of a disturbance or an unknown function: what is added to its place, ``"value"``, with standard
                    deviations, ``"error"``, at times (s) or values of the variable, ``"at"``; all (k,). Else empty.
     """
@@ -110,7 +111,7 @@ class Finding:
     threshold: float = math.nan
     explanation: str
     advice: str = ""
-    rivals: Mapping[str, float] = field(default_factory=dict)
+    alternatives: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     ringing: tuple[float, ...] = ()
     explained: float = math.nan
@@ -118,8 +119,11 @@ class Finding:
     explained_interval: tuple[float, float] = (math.nan, math.nan)
     explained_another: tuple[float, float] = (math.nan, math.nan)
     explained_outputs: Mapping[str, float] = field(default_factory=dict)
-    rivals_explained: Mapping[str, float] = field(default_factory=dict)
+    alternatives_explained: Mapping[str, float] = field(default_factory=dict)
     curve: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    rivals = Renamed("alternatives")
+    rivals_explained = Renamed("alternatives_explained")
 
     def cells(self) -> dict[str, str]:
         """Return what tables in notebooks show of it: a short text by heading, "" where there is none."""
@@ -268,7 +272,7 @@ class DiagnosisResult:
 
     @property
     def found(self) -> bool:
-        """Tell whether a cause is named."""
+        """Return whether a cause is named."""
         return any(f.status == "named" for f in self.findings)
 
     @property
@@ -300,7 +304,7 @@ class DiagnosisResult:
 
     @property
     def is_extended(self) -> bool:
-        """Tell whether the extended model has all named causes; disturbances and faults of the data have no term."""
+        """Return whether the extended model has all named causes; disturbances and faults of the data have no term."""
         added = () if self._extension is None else self._extension.added
         return self.found and all(f.cause in added for f in self.findings if f.status == "named")
 

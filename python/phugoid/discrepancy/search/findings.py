@@ -55,7 +55,7 @@ _AGAIN = (
 
 
 def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | None = None) -> Finding:
-    """Return what a search found, as it is told: with the estimate in the model that it is fitted in, the extended one
+    """Return what a search found as a finding: with the estimate in the model that it is fitted in, the extended one
     (``kept``) where it is part of that."""
     aliases = tuple(found.rivals)[:_ALIASES]
     if found.candidate is None:
@@ -68,7 +68,7 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
             threshold=found.threshold,
             explanation=_rings(found.ringing, result.final.fit.model.time_unit) if found.ringing else _UNEXPLAINED,
             advice=_AGAIN if found.ringing else "",
-            rivals=dict(found.rivals),
+            alternatives=dict(found.rivals),
             ringing=found.ringing,
         )
     c = found.candidate
@@ -92,14 +92,14 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
         threshold=found.threshold,
         explanation=c.explanation + (f"; but {stands_in}" if stands_in else _remark(c, parameters, plausible)),
         units={n: final.fit.parameters[n].unit for n in parameters},
-        rivals=dict(found.rivals),
+        alternatives=dict(found.rivals),
         **_simulated(explained),
-        rivals_explained=dict(found.rivals_explained),
+        alternatives_explained=dict(found.rivals_explained),
     )
 
 
 def _simulated(explained: Explained | None) -> dict[str, Any]:
-    """Return what a finding tells of the free simulation of data held out; nothing where there is none."""
+    """Return the facts of a finding about the free simulation of data held out; nothing where there is none."""
     if explained is None:
         return {}
     return {
@@ -151,7 +151,7 @@ def _rings(frequencies: Sequence[float], time: TimeUnit) -> str:
 
 
 def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Finding:
-    """Return a disturbance, an event or an unknown function as it is told; ``threshold`` is what its gain had to be."""
+    """Return a disturbance, an event or an unknown function as a finding; ``threshold`` is what its gain had to be."""
     d, nan = r.disturbance, float("nan")
     named = not r.is_unknown
     coefficient, error, unit = _size(r, fit) if named and d.kind == "noise" else (nan, nan, "")
@@ -173,7 +173,7 @@ def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Find
         threshold=threshold,
         explanation=_explanation(r, fit.model.time_unit),
         advice=_advice(r),
-        rivals=dict(r.rivals),
+        alternatives=dict(r.rivals),
         units={label: unit} if named and d.kind == "noise" else {},
         **_simulated(r.explained),
         curve={
@@ -185,7 +185,7 @@ def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Find
 
 
 def finding_of_recorded_input(h: RecordedInput, threshold: float, model: Model) -> Finding:
-    """Return an input that acts otherwise than it is recorded as it is told."""
+    """Return an input that acts otherwise than it is recorded, as a finding."""
     nan, unit, time = float("nan"), model.units.get(h.name, ""), model.time_unit
     if h.kind == "noise":
         size = f"{number(h.noise, 3)}{f' {unit}' if unit else ''}"
@@ -222,7 +222,7 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, model: Model) 
         cause=h.cause,
         status="named",
         aliases=tuple(h.rivals)[:_ALIASES],
-        rivals=h.rivals,
+        alternatives=h.rivals,
         coefficient=rate,
         std_error=error,
         interval=(rate - half, rate + half),
@@ -239,7 +239,7 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, model: Model) 
 
 
 def finding_of_unsigned_sensor(s: UnsignedSensor) -> Finding:
-    """Return a sensor that gives no sign as it is told."""
+    """Return a sensor that measures magnitudes, as a finding."""
     return Finding(
         cause=s.cause,
         status="named",
@@ -255,7 +255,7 @@ def finding_of_unsigned_sensor(s: UnsignedSensor) -> Finding:
 
 
 def finding_of_sensor_fault(f: SensorFault, time: str) -> Finding:
-    """Return a fault of an output's samples as it is told."""
+    """Return a fault of an output's samples as a finding."""
     gone = f"{percent(f.part)} less mean square of its residuals without that"
     if f.kind == "stuck":
         listed = [f"from {number(a, 4)} to {number(b, 4)} {time} of '{record}'" for record, a, b in f.spans]
@@ -281,7 +281,7 @@ def _first(listed: Sequence[str], noun: str) -> str:
 
 
 def finding_of_record_change(c: RecordChange) -> Finding:
-    """Return a difference between records as it is told."""
+    """Return a difference between records as a finding."""
     unit = f" {c.unit}" if c.unit else ""
     listed = [f"{plus_minus(v, e)}{unit} in '{record}'" for record, (v, e) in c.values.items()]
     more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""

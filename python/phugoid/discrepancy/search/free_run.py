@@ -2,7 +2,7 @@
 
 An autoregressive noise model takes a slow, deterministic misfit for noise, so that a term which halves the error of a
 simulation may gain little likelihood, and a trifle may gain much. The error of the simulation itself, with nothing but
-first states and biases estimated, does not depend on any noise model.
+initial states and biases estimated, does not depend on any noise model.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ class Explained:
 
     @property
     def significant(self) -> bool:
-        """Tell whether the simulation becomes better beyond chance."""
+        """Return whether the simulation becomes better beyond chance."""
         return self.interval[0] > 0.0
 
     @property
     def worse(self) -> bool:
-        """Tell whether the simulation becomes worse beyond chance."""
+        """Return whether the simulation becomes worse beyond chance."""
         return self.interval[1] < 0.0
 
 

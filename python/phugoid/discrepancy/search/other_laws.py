@@ -309,7 +309,7 @@ def unknown_function(
 
 
 def _is_better(search: Search, result: SearchResult, without: Refit, fitted: Refit, variable: str) -> bool:
-    """Tell whether a function explains more of data held out than the named causes in whose place it is.
+    """Return whether a function explains more of data held out than the named causes in whose place it is.
 
     No record is without a misfit beside its causes, and with little noise a function that follows all of it is likelier
     than any formula: a cause that simulates other data as well is the better answer.

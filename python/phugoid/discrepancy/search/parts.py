@@ -1,9 +1,9 @@
-"""Parts of long records: what a search looks at where it need not see every sample.
+"""Windows of long records, in which a search is made instead of in all samples.
 
 A cause that explains a part of the misfit worth a name shows in a few thousand samples, and the time and memory of a
 search grow with the samples times the candidates. Long records are searched in windows that are spread over them, each
-where the misfit of its stretch is largest, with first states of its own. What is named is estimated from all samples in
-the end.
+where the misfit of its stretch is largest, with initial states of its own. What is named is estimated from all samples
+in the end.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ class Parts:
 
 
 def parts_of(base: Refit, validation: Sequence[Experiment]) -> Parts | None:
-    """Return the fit to windows of long records; None where the records are short, where first states are declared, or
-    the windows cannot be fitted."""
+    """Return the fit to windows of long records; None where the records are short, where initial states are declared,
+    or the windows cannot be fitted."""
     fit, records = base.fit, dataset(base.fit)
     most = max(_LEAST, min(_SAMPLES, _ROWS // len(fit.model.output_names)))
     if fit.model.end_conditions or sum(e.n for e in records) <= _MORE * most:

@@ -117,7 +117,7 @@ def filtered(at: Refit, of: Disturbance, seconds: float) -> FilterErrorRefit | N
     """Return the fit by the filter-error method with a disturbance at the place of one; None where it fails.
 
     White noise of an equation is tried where the disturbance is white, and a shaping filter where that is not likelier
-    than coloured noise of the sensors. First states are parameters, so that without noise the likelihood is that of
+    than coloured noise of the sensors. Initial states are parameters, so that without noise the likelihood is that of
     output error.
     """
     check_time()
@@ -147,8 +147,8 @@ def filtered(at: Refit, of: Disturbance, seconds: float) -> FilterErrorRefit | N
 
 
 def filtered_elsewhere(of: FilterErrorRefit, data: Sequence[Experiment], free: Sequence[str], seconds: float) -> float:
-    """Return the log-likelihood of other records with the model and the disturbance as fitted, but for first states and
-    ``free`` parameters; NaN where there is no such fit."""
+    """Return the log-likelihood of other records with the model and the disturbance as fitted, but for initial states
+    and ``free`` parameters; NaN where there is no such fit."""
     fit, name = of.fit, f"q_{of.state}"
     values = {n: e.value for n, e in fit.parameters.items()}
     model, known = freeze_model(fit.model, values, free), {of.state: values[name]}
@@ -183,7 +183,7 @@ def _estimated(
 _PARTS, _LONGEST = (0.7, 0.85, 0.95), 0.15
 # Part of the misfit that the records without the span may have: an event is most of what is wrong with them.
 _LEFT = 0.5
-# Samples of a record before or after the span that are worth an estimation of first states, and iterations of it.
+# Samples of a record before or after the span that are worth an estimation of initial states, and iterations of it.
 _SAMPLES, _ITERATIONS = 30, 60
 # Seconds that a fit by the filter-error method may take.
 _SECONDS = 10.0
@@ -221,7 +221,7 @@ def _misfit(of: Refit, at: Refit) -> float:
 
 
 def is_disturbed(at: Refit, of: Disturbance, structure: float, margin: float) -> bool:
-    """Tell whether residuals have structure, and more as a disturbance there than as coloured noise, to first
+    """Return whether residuals have structure, and more as a disturbance there than as coloured noise, to first
     order or by the filter-error method."""
     histories = histories_at(at, of.place) if is_structured(at, structure) else []
     if not histories:
@@ -233,7 +233,7 @@ def is_disturbed(at: Refit, of: Disturbance, structure: float, margin: float) ->
 
 
 def _in_validation(cache: RefitCache, without: Refit, of: Disturbance, structure: float, margin: float) -> bool:
-    """Tell whether data held out have the disturbance, too, by the parameters of records without the event."""
+    """Return whether data held out have the disturbance, too, by the parameters of records without the event."""
     try:
         linear = on_other_data(without, cache.validation, None, cache.biases)
     except PhugoidError:
@@ -274,8 +274,8 @@ def _is_short(span: tuple[int, float, float], at: Refit) -> bool:
 
 
 def _without(at: Refit, span: tuple[int, float, float]) -> Refit | None:
-    """Return the model estimated from the records without a span, each with first states of its own; None where that is
-    not possible."""
+    """Return the model estimated from the records without a span, each with initial states of its own; None where that
+    is not possible."""
     check_time()
     fit, (record, begin, end) = at.fit, span
     if fit.model.end_conditions or any(p.per_experiment for p in fit.model.declared_parameters.values()):

@@ -49,7 +49,7 @@ _ITERATIONS = 60
 _ERROR, _MANY = 0.5, 12
 # Of an option's effect on the outputs: below it parameters that are there can do the same.
 _NOTHING = 1e-6
-# Part of blocks left out that they must predict from the others, and the rank of what these tell.
+# Part of blocks left out that they must predict from the others, and the rank of their information.
 _PREDICTED, _RANK = 0.3, 1e-6
 
 
@@ -106,7 +106,7 @@ class RecordChange:
 
     name       canonical: ``k:per_experiment``, ``x:bias_per_experiment``, ``x:scale_per_experiment``.
     parameter  of the model.
-    aliases    names of others that the data do not tell from it.
+    aliases    names of others that the data do not distinguish from it.
     place      of the parameter or the constant.
     values     record -> value and standard error.
     unit       of these.
@@ -138,7 +138,7 @@ class RecordChange:
 
     @property
     def is_scale(self) -> bool:
-        """Tell whether it is the scale of a sensor."""
+        """Return whether it is the scale of a sensor."""
         return self.place.kind == "output" and ":scale_" in self.name
 
 
@@ -268,8 +268,9 @@ def _ranked(linear: Linearised, options: Sequence[_Difference]) -> list[_Differe
 
 
 def _predicted(block: NDArray[np.intp], same: _Array, each: _Array, residuals: _Array) -> float:
-    """Return the part of what columns explain of blocks, each fitted for itself, that is explained with coefficients
-    which the other blocks tell; all else is as it fits a block best. Noise that no columns explain does not count."""
+    """Return the part of what columns explain of blocks, each fitted for itself, that is explained with the
+    coefficients from the other blocks; all else is as it fits a block best. Noise that no columns explain does not
+    count."""
     own_gain, told_gain, n = 0.0, 0.0, same.shape[1]
     for b in range(BLOCKS):
         inside = block == b
@@ -291,7 +292,7 @@ def _left(columns: _Array, r: _Array) -> float:
 
 def _with(at: Refit, option: _Difference, each: bool = True) -> Refit | None:
     """Return the fit with a difference, or with the same value for all; None where the solver does not come to an end,
-    or the data do not tell it."""
+    or the data do not determine it."""
     fit = at.fit
     try:
         model = option.in_model(fit.model, each)

@@ -1,5 +1,5 @@
 """Inputs that act otherwise than they are recorded: held between their samples, smooth there, without the noise that
-their records have, by another clock, or changing faster than their samples tell.
+their records have, by another clock, or changing faster than they are sampled.
 
 The output-error method takes inputs as known. Noise on a recorded input acts like process noise in the model's response
 and biases the estimates (Jategaonkar 2015, ch. 5): where the data say so, the noise is filtered out of the record.
@@ -165,7 +165,7 @@ def _explaining(one: RecordedInput, base: Refit) -> RecordedInput | None:
 
 
 def _counts(explained: Explained) -> bool:
-    """Tell whether it explains more than a minor finding does, and more than chance."""
+    """Return whether it explains more than a minor finding does, and more than chance."""
     return explained.significant and explained.part >= AssessmentSettings().minor
 
 
@@ -278,7 +278,7 @@ _Intervals = Sequence[Mapping[str, _Indices]]
 
 @dataclass(frozen=True, eq=False)
 class SampledInputs:
-    """Inputs between samples, as the outputs tell.
+    """Inputs between samples, estimated from the outputs.
 
     at        the refit, with inputs that have a sample halfway through each interval in question.
     jumps     input -> number of these intervals.
@@ -298,12 +298,12 @@ class SampledInputs:
 
     @property
     def records(self) -> list[Experiment]:
-        """The records with inputs as the outputs tell."""
+        """The records with inputs estimated from the outputs."""
         data = dataset(self.at.fit)
         return _corrected(data, self.intervals, self.marginal.coefficients)
 
     def on(self, data: Sequence[Experiment], free: Sequence[str] | None) -> list[Experiment]:
-        """Other records with inputs as their outputs tell; as they are where the model does not fit them."""
+        """Other records with inputs estimated from their outputs; as they are where the model does not fit them."""
         intervals = _intervals(data, list(self.jumps))
         if intervals is None:
             return list(data)
@@ -319,7 +319,7 @@ class SampledInputs:
 
 
 def sampled_inputs(at: Refit) -> SampledInputs | None:
-    """Return what inputs were between samples where they jump, as the outputs of a refit tell; None where none jumps
+    """Return what inputs were between samples where they jump, from the outputs of a refit; None where none jumps
     or such a model cannot be fitted."""
     data = dataset(at.fit)
     intervals = _intervals(data, list(at.fit.model.declared_inputs))

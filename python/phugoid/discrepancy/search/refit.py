@@ -1,4 +1,4 @@
-"""A model with candidates added, fitted, and what its likelihood is with coloured noise."""
+"""A model with candidates added, fitted, and its likelihood with coloured noise."""
 
 from __future__ import annotations
 
@@ -287,7 +287,7 @@ class LeftOut:
 
     def simulated(self, free: Collection[str]) -> _Array:
         """Return the errors (n_rows,) of a free simulation, in the units of the outputs: with parameters as the others
-        have them, but first states and those in ``free`` as they fit the block best, as on validation records."""
+        have them, but initial states and those in ``free`` as they fit the block best, as on validation records."""
         seen, scale = self._seen, self._scale
         out = self._without(seen.residuals, seen.plain_basis)
         known = [seen.direction(n) for n in self._names if n.partition("[")[0] not in free]
@@ -319,8 +319,8 @@ def on_other_data(
     free: Sequence[str] | None = None,
     as_fitted: bool = False,
 ) -> Linearised:
-    """Return a refit's model on other data, linearised: first states and ``free`` parameters (biases unless given) are
-    estimated, all else is as fitted.
+    """Return a refit's model on other data, linearised: initial states and ``free`` parameters (biases unless given)
+    are estimated, all else is as fitted.
 
     ``near`` is another model's, whose path is a start. Disturbances and drifts, which another record does not share,
     are zero there, or ``as_fitted``, as in `Fit.validate`.
@@ -358,7 +358,7 @@ def on_other_data(
     reason = ""
     limit = max(_ELSEWHERE, _TIMES * fit.time)
     for start in starts:
-        # From another model's path, or where only first states are wrong, few iterations lead to this model's.
+        # From another model's path, or where only initial states are wrong, few iterations lead to this model's.
         few = best is not None or start is not starts[-1]
         solver = Newton(max_iterations=_ITERATIONS, time_limit=limit) if few else Newton(time_limit=limit)
         try:
@@ -396,7 +396,7 @@ def gain_on_other_data(base: Linearised, more: Linearised) -> HeldOut:
 
 
 def is_structured(at: Refit, least: float) -> bool:
-    """Tell whether the past of any output's residuals predicts more than this part of their power."""
+    """Return whether the past of any output's residuals predicts more than this part of their power."""
     linear = at.linear
     filter = Whitening.of(linear.residuals, linear.structure)
     for name, line, channel in zip(linear.model.output_names, linear.rows, filter.channels, strict=True):

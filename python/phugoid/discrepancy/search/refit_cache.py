@@ -408,7 +408,7 @@ class RefitCache:
         self._starts.setdefault(name, self.proposed[name])
 
     def has_start(self, name: str) -> bool:
-        """Tell whether it is known where a refit with a candidate starts."""
+        """Return whether it is known where a refit with a candidate starts."""
         return name in self._starts
 
 
@@ -447,7 +447,7 @@ def _best(ends: Sequence[Refit | None]) -> Refit | None:
 
 
 def _enough(ends: Sequence[Refit | None], often: bool) -> bool:
-    """Tell whether refits from several starts have shown what there is to find; ``often``: though some are alike."""
+    """Return whether refits from several starts have shown what there is to find; ``often``: though some are alike."""
     found = sorted((r.fit.log_likelihood for r in ends if r is not None), reverse=True)
     alike = len(found) > 1 and found[0] - found[1] < _SAME
     return (alike and not often) or (not found and len(ends) >= _FAILED)

@@ -1,4 +1,4 @@
-"""What is left beside the candidates: a disturbance, a noisy input, an event, or a function that has no name.
+"""The misfit that no candidate explains, as a disturbance, a noisy input, an event, or an unknown function.
 
 The search explains a misfit by terms of the physics. What it leaves, and whether the terms that it found stand in for
 something else, is decided here by one scale: the likelihood of the residuals, as coloured noise of the sensors, and
@@ -39,7 +39,7 @@ class RemainderSettings:
 
     structure  part of the residuals' power that their past predicts, below which there is nothing to explain.
     margin     by how much its log-likelihood, less its number of parameters, must be ahead of that of coloured noise.
-    alike      other places of the same kind are told beside it where they are behind by less than this.
+    alike      other places of the same kind are reported with it where their gain is less by no more than this.
     filtered   places that are asked by the filter-error method, the likeliest to first order, and ``near``: by how much
                others may be behind the first of them.
     seconds    that a fit by it may take.
@@ -82,8 +82,8 @@ class Remainder:
     disturbance  the likeliest hypothesis.
     at           the refit beside whose terms it is.
     gain         in log-likelihood over coloured noise of the sensors.
-    held_out     the same on data held out; NaN where there are none, or none that can tell.
-    rivals       others of its kind that the data do not tell from it: name -> gain.
+    held_out     the same on data held out; NaN where there are none, or none that excite it.
+    rivals       others of its kind that the data do not distinguish from it: name -> gain.
     filtered     the fit by the filter-error method.
     moves        whether the time history, or its size, goes with the motion, as an unknown function of several
                  variables does.
@@ -109,12 +109,12 @@ class Remainder:
 
     @property
     def is_noise(self) -> bool:
-        """Tell whether it is a stationary random disturbance."""
+        """Return whether it is a stationary random disturbance."""
         return self.disturbance.kind == "noise" and not self.is_unknown
 
     @property
     def is_unknown(self) -> bool:
-        """Tell whether it describes a misfit whose cause is not known: a function, or what is no random disturbance."""
+        """Return whether it describes a misfit of unknown cause: a function, or what is no random disturbance."""
         return self.disturbance.kind == "function" or self.moves or self.bursts or self.oscillates
 
 
@@ -195,7 +195,8 @@ _EQUATIONS = ("equation", "state")
 
 def _acting(options: Sequence[_Option], s: RemainderSettings) -> _Option:
     """Return the likeliest option; in place of noise of a recorded input a disturbance of an equation that the data do
-    not tell from it: what acts beside the inputs is common, and noise of an input's record shows in the record."""
+    not distinguish from it: what acts beside the inputs is common, and noise of an input's record shows in the
+    record."""
     first = options[0]
     assert first.disturbance is not None
     if first.disturbance.kind not in ("noise", "event") or first.disturbance.place.kind != "input":
@@ -370,8 +371,8 @@ def _share(search: Search, at: Refit, of: Disturbance) -> float:
     """Return the part of the misfit of the model diagnosed that a disturbance takes up, in the records themselves.
 
     A random time history with hundreds of knots takes up noise of the sensors as well, and more of it the more samples
-    there are: of one its variance tells what it does to the outputs. Where the model integrates, that is more than it
-    did in these records. Thus the lesser of both.
+    there are: its effect on the outputs of one record follows from its variance. Where the model integrates, that is
+    more than it did in these records. Thus the lesser of both.
     """
     base = search.cache.base.linear
     misfit = Misfitting.of(base)

@@ -1,4 +1,4 @@
-"""Fits that ended at no optimum: estimated again, or with a term more, with which there is one."""
+"""Fits that ended at no optimum, estimated again or with one term more."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def of_shared_terms(fit: FitResult) -> FitResult:
 
 def restarted(fit: FitResult, validation: Sequence[Experiment]) -> Restart:
     """Return a fit of the same model at an optimum: continued; with parameters fixed that the data do not determine;
-    begun again from the measured path, or from what short segments tell; or that to the segments."""
+    begun again from the measured path, or from the estimates on short segments; or that to the segments."""
     status = f"The fit that was given ended as '{fit.status}' ({fit.message or HINTS.get(fit.status, '')})"
     again = _estimated(fit, fit.model, start=fit) or _estimated(fit, fit.model)
     if again is not None:

@@ -8,8 +8,8 @@ all the same, for what is left of the residual rings no more; one that explains 
 
 Sensors have no such noise: what rings at a mode has come through the vehicle, be it turbulence or a term that is
 missing. So there is a second model of the noise, the same but for its poles near lightly damped modes, which are damped
-well. It does not tell turbulence from a missing term, and so nothing is named by it; but it shows that there is one of
-the two.
+well. It does not distinguish turbulence from a missing term, and so nothing is named by it; but it shows that there is
+one of the two.
 
 The sum of many small steps rises or falls over a record by chance, and a straight line fits it better than stationary
 noise does, the more significantly the longer the record is (Granger and Newbold 1974, Durlauf and Phillips 1988). A
@@ -70,7 +70,7 @@ class Ringing:
 
 
 def is_near(frequency: float, mode: float) -> bool:
-    """Tell whether a frequency is that of a mode, as far as records tell; both in the same unit."""
+    """Return whether a frequency is that of a mode, as far as records resolve it; both in the same unit."""
     return abs(frequency - mode) < _NEAR * mode
 
 

@@ -1,4 +1,4 @@
-"""All candidates at one fit: what each would gain, from one linearisation.
+"""The expected gain of every candidate at a fit, from one linearisation.
 
 What tangents can imitate counts for nothing through any filter, so it is taken out of the effects' columns C once, in
 the metric of white noise: what is left is small where the motion is unstable and C is not. Through a filter F, with
@@ -106,7 +106,7 @@ def _root(gram: _Array) -> _Array:
     return np.asarray(unit[:, :, None] * vectors * inverse[:, None, :])
 
 
-# Candidates whose effect on the outputs is but this part their own cannot be told from the parameters there, or hardly.
+# Candidates of whose effect on the outputs only this part is their own are hardly distinguishable from parameters.
 CONFOUNDED, NEARLY = 0.003, 0.05
 # Terms that are taken out before the noise is modelled for ranking.
 _GREEDY = 3
@@ -158,7 +158,7 @@ class Scan:
         columns *= units[:, None]
         parameters *= units[:, None]
         along = self._without_tangents(columns)
-        # What first states alone cannot imitate, of the tangents and of how parameters took part.
+        # What initial states alone cannot imitate, of the tangents and of how parameters took part.
         tangents, each = self.white.basis.T, np.eye(parameters.shape[1])
         rest = linear.without_states(
             np.pad(tangents, ((0, len(each)), (0, 0))), np.pad(each, ((len(tangents), 0), (0, 0)))

@@ -84,8 +84,8 @@ def plausibility(candidate: Candidate, model: Model) -> tuple[int, int, str]:
 
 
 def is_late(candidate: Candidate, model: Model) -> bool:
-    """Tell whether a linear term in an output is that of the rate of the state that it shows: that is a lag or a delay,
-    to first order, and no cause of its own."""
+    """Return whether a linear term in an output is one in the rate of the state that it measures: to first order that
+    is a lag or a delay, and no cause of its own."""
     place = candidate.place
     if place.kind != "output" or getattr(candidate, "family", "") != "linear":
         return False
@@ -94,7 +94,7 @@ def is_late(candidate: Candidate, model: Model) -> bool:
 
 
 def is_equal(one: Refit, other: Refit) -> bool:
-    """Tell whether two refits are one and the same but for rounding: by the likelihood of white noise, and by that of
+    """Return whether two refits are one and the same but for rounding: by the likelihood of white noise, and by that of
     noise with the autocorrelation of the residuals of the first."""
     if abs(one.fit.log_likelihood - other.fit.log_likelihood) > _SAME:
         return False
@@ -103,8 +103,8 @@ def is_equal(one: Refit, other: Refit) -> bool:
 
 
 def is_as_good(best: Refit, other: Refit, gain: float, parts: tuple[float, float]) -> bool:
-    """Tell whether another refit explains the data as well as the best, whose gain in likelihood with coloured noise it
-    has the part ``gain`` of. ``parts``: what each explains of the misfit.
+    """Return whether another refit explains the data as well as the best one. ``gain`` is its gain in likelihood with
+    coloured noise, as a part of that of the best; ``parts`` are the parts of the misfit that the two explain.
 
     Where residuals are noise, a test compares the mean squares of each output. With autocorrelation rho the mean square
     of n residuals is as uncertain as that of n / (1 + 2 sum rho_k^2) independent ones (Bartlett 1946). Where they are
@@ -309,7 +309,7 @@ class Screen:
 
     def lasting(self, at: Refit, filter: Filter, count: int) -> list[Candidate]:
         """Return the best candidates through a filter, of those that another record has too: the phase of a disturbance
-        is for no other data to tell."""
+        has no meaning in other data."""
         scan = self._cache.scan(at)
         lasting = np.array([c.transferable for c, _ in scan.effects])
         return self._best(scan, scan.through(filter), count, lasting)

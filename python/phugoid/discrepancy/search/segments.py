@@ -1,4 +1,4 @@
-"""Records as a diagnosis takes them: cut into segments, each with first states of its own, where a simulation of the
+"""Records as a diagnosis takes them: cut into segments, each with initial states of its own, where a simulation of the
 whole drifts away from them; fits that ended at no optimum, estimated again; thinned where they are sampled much faster
 than anything in them happens.
 
@@ -8,7 +8,7 @@ a friction has the wrong sign of the rate, and a term that holds the motion near
 Simulated over a horizon, the motion stays near what was measured.
 
 Why an estimation fails is often what a diagnosis is asked for: a model that lacks something, a large bias or noise on a
-recorded input leads the path of a whole record astray. Over short segments with first states of their own it is not.
+recorded input leads the path of a whole record astray. Over short segments with initial states of their own it is not.
 
 Of two records of one motion, that with more samples has the same to say of the vehicle, and more of the noise. An
 autoregression of a few samples spans a time in which the vehicle does not move, and thresholds in samples mean another
@@ -47,7 +47,7 @@ _COUNT, _SHORT, _SAMPLES = 10, 80, 40
 # Part of the residuals' power that is predictable, from which on the model is thought far from the record.
 _ERROR = 0.5
 # Part of the RMS of every output that is left over segments, where it is the drift that made the rest. A stable
-# system, which forgets its first states, keeps more.
+# system, which forgets its initial states, keeps more.
 _LEFT = 0.25
 
 
@@ -77,7 +77,7 @@ class Segments:
 
 def segments_of(base: Refit, validation: Sequence[Experiment]) -> Segments | None:
     """Return the records of a fit in segments, where the model is far from the records as a whole and much nearer to
-    segments of them; None else, and where first states or parameters belong to a whole record."""
+    segments of them; None else, and where initial states or parameters belong to a whole record."""
     fit = base.fit
     found, length = fitted_to_segments(base, _COUNT) if is_structured(base, _ERROR) else (None, 0)
     if found is None:
@@ -189,7 +189,7 @@ def _assigned(e: Experiment, base: Refit) -> Experiment:
     inputs = {n: e.input(n) for n in model.input_names}
     outputs = {n: e.output(n) for n in model.output_names}
     kinds = {n: e.interpolation_of(n) for n in inputs}
-    found = Experiment(e.t, inputs, outputs, name=e.name, interpolation=kinds, units=e.units)
+    found = Experiment(e.t, inputs, outputs, name=e.name, interpolation=kinds, units=e._units_of(inputs, outputs))
     signals = {n: s for n in inputs if (s := e.signal(n)) is not None}
     return found._sampled(signals, e.mesh_times)
 
@@ -223,8 +223,8 @@ def _bends(e: Experiment) -> NDArray[np.bool_]:
 
 
 def _is_slow(base: Refit, data: Sequence[Experiment], k: int) -> bool:
-    """Tell whether the fitted outputs hardly move within a block, beside the noise of its mean; but for blocks in which
-    an input jumps."""
+    """Return whether the fitted outputs hardly move within a block, compared with the noise of its mean; blocks in
+    which an input jumps do not count."""
     filter = base.own.filter
     assert isinstance(filter, Whitening)  # channel by channel
     for name, channel in zip(base.linear.model.output_names, filter.channels, strict=True):
@@ -240,7 +240,7 @@ def _is_slow(base: Refit, data: Sequence[Experiment], k: int) -> bool:
 
 
 def _is_empty_above(base: Refit, k: int) -> bool:
-    """Tell whether the residuals' spectrum has no peak above the frequencies that blocks of k samples leave."""
+    """Return whether the residuals' spectrum has no peak above the frequencies that blocks of k samples leave."""
     from scipy.signal import welch
 
     for name in base.linear.model.output_names:

@@ -1,6 +1,6 @@
 """Faults of sensors and of their recording that the samples themselves show: a sensor that stays at its last value for
 a while, one that is renewed at a lower rate than it is recorded at, an angle that jumps by a turn, and a sensor that
-gives a size without its sign."""
+measures a magnitude without its sign."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _Array = NDArray[np.float64]
 # The number of runs of the same value, as long as the least, that chance may be expected to give in a record. Shorter
 # ones count where there are so many, and times as many as chance gives, as where a radio link repeats what it lost.
 _BY_CHANCE, _MANY, _MORE = 1e-4, 8, 10.0
-# Samples that tell noise.
+# Samples from which noise is estimated.
 _FEWEST = 12
 # A sensor of which more than this part of the samples repeats the one before is not stuck. It is renewed at a lower
 # rate where it changes at least so often, and but for this part of the changes within a sample of multiples of an
@@ -249,7 +249,7 @@ def unsigned_sensor(fit: FitResult) -> UnsignedSensor | None:
 
 
 def _may_be_size(records: Sequence[NDArray[np.float64]]) -> bool:
-    """Tell whether values are never negative but for noise, and often near zero between larger ones."""
+    """Return whether values are never negative but for noise, and often near zero between larger ones."""
     largest = max((float(y.max()) for y in records), default=0.0)
     if largest <= 0.0 or any(float(y.min()) < -_BELOW * noise_of(y) for y in records):
         return False

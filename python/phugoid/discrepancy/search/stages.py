@@ -1,6 +1,6 @@
-"""Stages of a diagnosis: suspects in the data, terms of the model, and what is left beside them.
+"""Stages of a diagnosis: faults of the data, terms of the model, and the remaining misfit.
 
-Each stage takes what is known so far and returns what is known after it; a suspect that is found in the data has all
+Each stage takes what is known so far and returns what is known after it; a fault that is found in the data has all
 that follows sought as if the data were so.
 """
 
@@ -24,7 +24,7 @@ from .refit import Refit, fitted_to
 from .remainder import Remainder, RemainderSettings, remainder_of
 from .scan import NEARLY, Scan
 from .segments import short_segments
-from .stand_ins import without_stand_ins
+from .surrogates import without_surrogates
 
 __all__ = [
     "Inquiry",
@@ -123,7 +123,7 @@ def stages(listed: Callable[[Refit], Sequence[Candidate]], differ: bool) -> list
         *([_optional(_with_record_changes)] if differ else []),
         _optional(_with_inputs_as_sampled),
         _optional(_with_remainder),
-        _without_stand_ins,
+        _without_surrogates,
     ]
 
 
@@ -259,8 +259,8 @@ def _with_record_changes(state: Inquiry) -> Inquiry:
 
 
 def _with_inputs_as_sampled(state: Inquiry) -> Inquiry:
-    """Return what the search finds once more with inputs between samples as the outputs tell, where these say that they
-    jumped there."""
+    """Return what the search finds once more with inputs between samples estimated from the outputs, where these show
+    that the inputs jumped there."""
     search, full = state.search, state.result.full
     cache = search.cache
     least = full.merit - search.chances(full) + RemainderSettings().margin
@@ -296,8 +296,8 @@ def _with_remainder(state: Inquiry) -> Inquiry:
     return replace(state, result=result, remainder=remainder)
 
 
-def _without_stand_ins(state: Inquiry) -> Inquiry:
-    result, remainder = without_stand_ins(state.search, state.result, state.remainder)
+def _without_surrogates(state: Inquiry) -> Inquiry:
+    result, remainder = without_surrogates(state.search, state.result, state.remainder)
     return replace(state, result=result, remainder=remainder)
 
 

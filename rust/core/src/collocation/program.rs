@@ -161,7 +161,7 @@ impl Collocation {
         )
     }
 
-    /// Tells whether some of these constraints are defects of a chunk.
+    /// Returns whether some of these constraints are defects of a chunk.
     fn has_rows(&self, chunk: &Chunk, rows: &[Range<usize>]) -> bool {
         let n_x = self.layout.n_x;
         let own = chunk.row * n_x..(chunk.row + chunk.segments() * (chunk.rule.order() - 1)) * n_x;

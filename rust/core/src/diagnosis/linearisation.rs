@@ -72,7 +72,7 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
 
     /// Tangents of the path along variables, n_θ + n_x · samples numbers each: parameters, then the states at the samples
     /// of each experiment, sample by sample. And whether that is forward in time: then they are those of one variable
-    /// alone, a parameter or a first state, whatever conditions there are.
+    /// alone, a parameter or an initial state, whatever conditions there are.
     ///
     /// # Errors
     /// [`NotFinite`] when a derivative is not finite there, the equations depend on each other, or the interrupt in force

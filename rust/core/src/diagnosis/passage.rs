@@ -1,4 +1,4 @@
-//! A channel's autoregressive model along a strand: each sample predicted from all before it, also past a gap.
+//! A channel's autoregressive model along a segment: each sample predicted from all before it, also past a gap.
 
 use std::ops::Range;
 

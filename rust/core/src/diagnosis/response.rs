@@ -14,7 +14,7 @@ use crate::solver::state_units;
 ///
 /// A term b(t) that is added to f with a small coefficient c moves the optimum's path by c d, where A d = −∂h/∂c
 /// keeps the defects zero. Of all such d the solution of the KKT system is the least in that metric, so it stays
-/// small for unstable systems too, where a simulation from the first state would not. Any other differs from it by
+/// small for unstable systems too, where a simulation from the initial state would not. Any other differs from it by
 /// a *tangent*: a direction in which parameters and initial states move the path. Tangents come from the same
 /// factorisation.
 pub struct Response<P> {

@@ -18,26 +18,26 @@ struct Mixing {
     n: usize,
 }
 
-/// The strands of a channel: first row, and places of the samples on their grid of time.
-pub type Strands = Vec<(usize, Vec<usize>)>;
+/// The segments of a channel: first row, and places of the samples on their grid of time.
+pub type Segments = Vec<(usize, Vec<usize>)>;
 
 /// The transform of rows of residuals, or of sensitivities, to prediction errors in units of their standard deviations,
 /// those of the exact likelihood.
 pub struct Whitening {
-    /// First row and passage of each strand.
+    /// First row and passage of each segment.
     passages: Vec<(usize, Passage)>,
     mixings: Vec<Mixing>,
     rows: usize,
 }
 
 impl Whitening {
-    /// For each channel its model and its strands. Each mixing is L⁻¹ and rows, as many for each time.
-    pub fn new(channels: &[(Predictors, Strands)], mixings: Vec<(Vec<f64>, Vec<usize>)>) -> Self {
-        let strands = channels.iter().flat_map(|(model, strands)| {
+    /// For each channel its model and its segments. Each mixing is L⁻¹ and rows, as many for each time.
+    pub fn new(channels: &[(Predictors, Segments)], mixings: Vec<(Vec<f64>, Vec<usize>)>) -> Self {
+        let segments = channels.iter().flat_map(|(model, segments)| {
             let covariance = model.covariance();
-            strands.iter().map(move |(first, places)| (*first, Passage::new(model, &covariance, places)))
+            segments.iter().map(move |(first, places)| (*first, Passage::new(model, &covariance, places)))
         });
-        let passages: Vec<_> = strands.collect();
+        let passages: Vec<_> = segments.collect();
         let rows = passages.iter().map(|(first, p)| first + p.len()).max().unwrap_or(0);
         let mixings =
             mixings.into_iter().map(|(inverse, at)| Mixing { n: inverse.len().isqrt(), inverse, at });
@@ -142,10 +142,10 @@ mod tests {
         let model = Predictors::new(vec![vec![], vec![0.5], vec![0.6, -0.2]], vec![1.2, 1.0, 0.9]);
         let white = |n: usize| Predictors::new(vec![vec![]], vec![n as f64]);
         let places: Vec<usize> = (0..20).chain(23..40).collect();
-        let strands = vec![(0, places)];
+        let segments = vec![(0, places)];
         let second = vec![(37, (0..37).collect())];
         let mixing = (vec![1.0, 0.0, -0.4, 1.1], (0..37).flat_map(|i| [i, 37 + i]).collect());
-        let whitening = Whitening::new(&[(model, strands), (white(2), second)], vec![mixing]);
+        let whitening = Whitening::new(&[(model, segments), (white(2), second)], vec![mixing]);
         let n = whitening.rows();
         let (k, m) = (70, 3);
         let columns: Vec<f64> = (0..k * n).map(|i| ((i * i) as f64 * 0.37).sin()).collect();

@@ -216,7 +216,7 @@ impl Fit {
         self.paths(experiments, |path| path.integration_error())
     }
 
-    /// Tells whether the errors of all segments, each small beside the noise, may add up to more than it: a position is an
+    /// Returns whether the errors of all segments, each small beside the noise, may add up to more than it: a position is an
     /// integral, and keeps all of them.
     pub(super) fn may_accumulate_error(&self, experiments: &[Experiment]) -> bool {
         self.neglected(experiments).is_some_and(|n| n.sum > ACCUMULATED)

@@ -67,7 +67,7 @@ struct MovingMesh<'a, 'b> {
     sound: Option<(Fit, f64)>,
     /// An end whose path is none: the next mesh tells its likelihood.
     unknown: Option<Fit>,
-    /// Tells whether this mesh is the last one, which has no limit of its own.
+    /// Returns whether this mesh is the last one, which has no limit of its own.
     last: bool,
     divisions: usize,
     astray: usize,
@@ -78,9 +78,9 @@ struct MovingMesh<'a, 'b> {
 /// The end on one mesh.
 struct Pass {
     found: Fit,
-    /// Tells whether the mesh begins with a much lower likelihood than the best end so far.
+    /// Returns whether the mesh begins with a much lower likelihood than the best end so far.
     lost: bool,
-    /// Tells whether the time is over, or the user has stopped it.
+    /// Returns whether the time is over, or the user has stopped it.
     stopped: bool,
     /// How far its outputs are from those of the integration.
     off: f64,
@@ -188,7 +188,7 @@ impl<'a, 'b> MovingMesh<'a, 'b> {
         self.estimation.simulated(&self.at, self.accuracy.tolerance)
     }
 
-    /// Tells whether a mesh has led away from solutions, or to a lower likelihood than the best end so far has.
+    /// Returns whether a mesh has led away from solutions, or to a lower likelihood than the best end so far has.
     fn leads_astray(&self, pass: &Pass) -> bool {
         let Some((_, kept)) = &self.sound else { return false };
         let Pass { found, lost, stopped, off } = pass;

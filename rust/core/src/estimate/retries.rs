@@ -38,7 +38,7 @@ enum Way {
 impl Way {
     const ALL: [Way; 4] = [Way::OutputInjection, Way::Regression, Way::ConsistentPaths, Way::ExactHessian];
 
-    /// Tells whether it takes about as long as a run from the start values.
+    /// Returns whether it takes about as long as a run from the start values.
     fn is_quick(self) -> bool {
         matches!(self, Way::Regression | Way::ConsistentPaths)
     }
@@ -183,7 +183,7 @@ impl Estimation<'_> {
 }
 
 impl Fit {
-    /// Tells whether it is at no optimum, at one whose tolerances were not met, or at one at which no output or few outputs are
+    /// Returns whether it is at no optimum, at one whose tolerances were not met, or at one at which no output or few outputs are
     /// matched well.
     fn is_poor(&self) -> bool {
         let outputs = || 0..self.model.outputs.len();
@@ -209,7 +209,7 @@ impl Fit {
         (number >= FEW && of_motion > 0.0).then(|| 1.0 - (residuals - noise).max(0.0) / of_motion)
     }
 
-    /// Tells whether residuals are much larger than their white noise, and not small beside the motion.
+    /// Returns whether residuals are much larger than their white noise, and not small beside the motion.
     fn residuals_are_large(&self) -> bool {
         if !(0..self.model.outputs.len()).any(|c| self.explained(c).is_some_and(|r| r < WELL)) {
             return false;

@@ -86,12 +86,12 @@ impl Estimation<'_> {
         rough
     }
 
-    /// Tells whether fewer iterations are asked for than usual: then nothing else is tried that takes more.
+    /// Returns whether fewer iterations are asked for than usual: then nothing else is tried that takes more.
     pub(super) fn asks_for_few_iterations(&self) -> bool {
         self.solver.max_iterations < Settings::default().max_iterations
     }
 
-    /// Tells whether the model has kinks that are smoothed where they matter.
+    /// Returns whether the model has kinks that are smoothed where they matter.
     pub(super) fn smooths(&self) -> bool {
         self.smooth_kinks && self.transcription.is_collocation() && !self.model.kinks().is_empty()
     }

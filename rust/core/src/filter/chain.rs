@@ -32,7 +32,7 @@ pub(super) struct Chain {
     pub(super) c: Vec<f64>,
     /// Q_k, N of (n, n).
     pub(super) q: Vec<f64>,
-    /// Standard deviation of the prior of each first state that has one, infinite for a flat one.
+    /// Standard deviation of the prior of each initial state that has one, infinite for a flat one.
     pub(super) prior: Vec<Option<f64>>,
 }
 
@@ -63,7 +63,7 @@ pub(super) struct Spread {
 pub(super) enum Fault {
     /// The Hessian has no positive pivot in the noise of an interval.
     Noise,
-    /// It has none at a first state.
+    /// It has none at an initial state.
     First(usize),
     /// The interrupt in force ended the work.
     Stopped,
@@ -179,7 +179,7 @@ impl Chain {
         Ok(noise + log_det(&self.random_first(f)?, self.random().len()))
     }
 
-    /// Covariances, where that of the first state is `first`.
+    /// Covariances, where that of the initial state is `first`.
     fn spread(&self, f: &Factor, first: Vec<f64>) -> Result<Spread, Fault> {
         let (n, m, width) = (self.n, self.m, self.width());
         let mut out = Spread { x: first.clone(), z: Vec::with_capacity((self.samples - 1) * width * width) };

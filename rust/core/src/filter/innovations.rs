@@ -1,7 +1,7 @@
 //! One-step predictions of every sample by a Kalman filter, from the samples before it.
 //!
 //! The filter is linearised about the most probable path (for a linear system it is the Kalman filter), and starts at
-//! the first state as estimated; one with a prior starts at the prior. Its innovations are white where the model is
+//! the initial state as estimated; one with a prior starts at the prior. Its innovations are white where the model is
 //! right, which the residuals of a smoothed path are not.
 
 use super::path::{At, Found, Lost};

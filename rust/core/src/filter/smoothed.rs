@@ -18,9 +18,9 @@ pub struct Smoothed {
     pub output_deviations: Vec<Vec<f64>>,
     /// One-step predictions of each sample from those before it.
     pub innovations: Innovations,
-    /// Covariance of the first state, (n, n), for parameters known, and how it follows the model's parameters, (n, p).
+    /// Covariance of the initial state, (n, n), for parameters known, and how it follows the model's parameters, (n, p).
     pub first_covariance: Vec<f64>,
-    /// Derivatives of the first state by the model's parameters, (n, p).
+    /// Derivatives of the initial state by the model's parameters, (n, p).
     pub first_follows: Vec<f64>,
 }
 

@@ -74,18 +74,18 @@ fn best(
         }
         return Ok(newton.finish(ending));
     }
-    let (point, rival) = begin(nlp, &program, point, initial);
+    let (point, alternative) = begin(nlp, &program, point, initial);
     // What a run allocates takes its time, too.
     if let Some(solution) = Solution::before_a_step(&program, &point, multipliers) {
         return Ok(solution);
     }
     let mut newton = Newton::new(program, point, multipliers, settings);
     let mut ending = newton.minimise(watch)?;
-    if let Some(rival) = rival {
+    if let Some(alternative) = alternative {
         // Not long, where it leads nowhere.
         let most = settings.max_iterations.min(3 * newton.iterations() + 10);
         let capped = settings.clone().max_iterations(most);
-        ending = challenge(nlp, &mut newton, ending, &rival.xi, &capped, watch)?;
+        ending = challenge(nlp, &mut newton, ending, &alternative.xi, &capped, watch)?;
     }
     if initial == Initial::Places && is_doubtful(nlp, &newton, ending.status) {
         for place in further_places(nlp, start)? {
@@ -227,14 +227,14 @@ fn begin<'a>(
         return (point, None);
     }
     let Some(mut regression) = Regression::new(nlp, program, point.clone()) else { return (point, None) };
-    let mut rival = None;
+    let mut alternative = None;
     if initial == Initial::Places && regression.is_separable() {
-        rival = regression.regress_separably();
+        alternative = regression.regress_separably();
     } else {
         regression.regress();
     }
     // Stopped, it was left half way.
-    if current().stops() { (point, None) } else { (regression.here, rival) }
+    if current().stops() { (point, None) } else { (regression.here, alternative) }
 }
 
 /// Other places to start from, after a run that led nowhere.
@@ -251,12 +251,12 @@ fn further_places(nlp: &dyn Separable, start: &[f64]) -> Result<Vec<Point>, NotF
 /// Whether another place should be tried.
 fn is_doubtful(nlp: &dyn Separable, newton: &Newton<'_>, status: Status) -> bool {
     // Whether a parameter in which the model is not linear stands at a bound.
-    let cornered = || {
+    let at_bound = || {
         let (xi, program) = (&newton.point().xi, newton.program());
         let (lower, upper) = (&program.lower, &program.upper);
         nlp.nonlinear().into_iter().any(|i| lower[i] < upper[i] && (xi[i] <= lower[i] || xi[i] >= upper[i]))
     };
-    status.lost() || status == Status::Unidentifiable || (!status.unfinished() && cornered())
+    status.lost() || status == Status::Unidentifiable || (!status.unfinished() && at_bound())
 }
 
 /// Runs from another place, and takes that run where it ends better: with a greater likelihood, and at an end.

@@ -44,9 +44,9 @@ impl Regression<'_> {
         let most = own.as_ref().map_or(f64::INFINITY, |o| o.0 - BETTER * start.c.len() as f64);
         let mut from = own.map_or(start, |o| o.1);
         let better = others.into_iter().next().filter(|o| o.0 < most);
-        let rival = better.map(|(_, best)| std::mem::replace(&mut from, best));
+        let alternative = better.map(|(_, best)| std::mem::replace(&mut from, best));
         self.here = from;
-        rival
+        alternative
     }
 
     /// Places to start from after those of `regress_separably`.

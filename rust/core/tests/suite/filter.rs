@@ -74,7 +74,7 @@ fn gradient_with_products_tables_and_switches() {
     }
 }
 
-/// ẋ = −x³ with noise, √(1 + x²) measured at two times; the first state known to `spread`.
+/// ẋ = −x³ with noise, √(1 + x²) measured at two times; the initial state known to `spread`.
 fn two_samples(scale: f64) -> Filter {
     let mut m = Model::new("cubic");
     let x = m.state("x", "").unwrap();

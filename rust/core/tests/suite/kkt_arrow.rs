@@ -164,7 +164,7 @@ fn covariance_is_the_block_of_the_inverse() {
     let held = vec![false; case.problem.n()];
     assert!(arrow.finish(&held, 0.0).is_positive());
     let inverse = case.dense(&held).try_inverse().unwrap();
-    // Parameters and first states of both experiments, read off; and other states, by solving.
+    // Parameters and initial states of both experiments, read off; and other states, by solving.
     let l = &case.problem.layout;
     let [one, other] = [0, 1].map(|e| l.state(l.first_point[ExperimentId(e)]));
     let first = [one, one + 1, other, other + 1];

@@ -115,7 +115,7 @@ fn solve(factor: &mut dyn Factor, held: &[bool], (p, q): &(Vec<f64>, Vec<f64>)) 
 const GIVEN: [(End, &str, f64); 2] = [(End::Initial, "x", 1.0), (End::Initial, "y", 0.5)];
 const RETURNS: [(End, &str, f64); 2] = [(End::Periodic, "x", 0.0), (End::Initial, "y", 0.5)];
 
-/// Given first states with little growth, and with so much that nothing but the parameters decide where it ends (10⁹, 10²⁶);
+/// Given initial states with little growth, and with so much that nothing but the parameters decide where it ends (10⁹, 10²⁶);
 /// an integrator that ends where it began.
 fn cases() -> [Case; 4] {
     [

@@ -10,7 +10,7 @@ use phugoid::nlp::Nlp;
 use phugoid::noise::Noise;
 use phugoid::{Experiment, Expr, Grid, Model, Parameter, Sigma};
 
-/// x' = a x over 400 segments, with or without a condition on the first state.
+/// x' = a x over 400 segments, with or without a condition on the initial state.
 fn problem(condition: bool) -> Collocation {
     of_length(400, condition)
 }

@@ -40,7 +40,7 @@ fn records(model: &Model) -> [Experiment; 2] {
     [record(model, "one", 33, false, 1), record(model, "two", 14, false, 2)]
 }
 
-/// States at the samples, and the whole point, of each experiment solved alone from (parameters, its first states).
+/// States at the samples, and the whole point, of each experiment solved alone from (parameters, its initial states).
 fn solved(
     model: &Model,
     order: usize,
@@ -117,7 +117,7 @@ fn forward_it_is_the_path_solved_again() {
         assert!(error < 1e-9, "a parameter, order {order}, {grid:?}: off by {error:e}");
         let by_state = quotient(|d| solved(&model, order, &grid, &THETA, &[FIRST[0], [-0.2, 0.5 + d]]).0);
         let error = distance(&tangents[2], &by_state);
-        assert!(error < 1e-9, "a first state, order {order}, {grid:?}: off by {error:e}");
+        assert!(error < 1e-9, "an initial state, order {order}, {grid:?}: off by {error:e}");
         assert!(tangents[3].iter().all(|v| *v == 0.0), "what is no first point moves nothing of its own");
     }
 }
@@ -167,7 +167,7 @@ fn at_samples(problem: &Collocation, d: &[f64]) -> Vec<f64> {
     out
 }
 
-/// Tangents by all parameters and first states of forward: (variables, samples), an orthogonal basis in columns.
+/// Tangents by all parameters and initial states of forward: (variables, samples), an orthogonal basis in columns.
 fn tangents(problem: &Collocation, forward: &Forward<&Collocation>, wanted: &[VariableId]) -> DMatrix<f64> {
     let n_theta = problem.layout.n_theta;
     let columns: Vec<DVector<f64>> = forward

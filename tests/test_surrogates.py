@@ -1,4 +1,5 @@
-"""Terms that stand in for something that no candidate describes, and what tells a motion from noise of a sensor."""
+"""Terms that are surrogates of something that no candidate describes, and how a motion is distinguished from noise of a
+sensor."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from phugoid.discrepancy.search import Search, SearchResult
 from phugoid.discrepancy.search.disturbance import histories_at
 from phugoid.discrepancy.search.refit import Refit
 from phugoid.discrepancy.search.remainder import Remainder
-from phugoid.discrepancy.search.stand_ins import DIFFERS, StandInSettings, is_motion, persistence, without_stand_ins
+from phugoid.discrepancy.search.surrogates import DIFFERS, SurrogateSettings, is_motion, persistence, without_surrogates
 from phugoid.residual_noise.whitening import Whitening
 from phugoid.sensitivities import Place
 from phugoid.sensitivities.tangents import collocated
@@ -53,7 +54,7 @@ def predictable(at: Refit) -> float:
 
 
 def test_a_motion_is_told_from_coloured_noise_at_any_sampling_rate() -> None:
-    least = StandInSettings.persistent
+    least = SurrogateSettings.persistent
     by_rate = []
     for every in (1, 2, 4):
         motion, noise = fitted(0.2, False, every), fitted(0.0, True, every)
@@ -104,8 +105,8 @@ def named(kind: str, cause: str, size: float = 1.0) -> tuple[Search, SearchResul
 def test_a_term_that_leaves_a_larger_motion_is_a_surrogate() -> None:
     search, result = named(BUMP, "v':u^2")
     explained = search.assessment.explained(search.cache.base, result.final)
-    assert explained is not None and explained.interval[0] < StandInSettings.most
-    kept, remainder = without_stand_ins(search, result, None)
+    assert explained is not None and explained.interval[0] < SurrogateSettings.most
+    kept, remainder = without_surrogates(search, result, None)
     assert kept.surrogates.keys() == {"v':u^2"} and kept.final is search.cache.base and kept.full is result.full
     assert remainder is None
 
@@ -113,8 +114,8 @@ def test_a_term_that_leaves_a_larger_motion_is_a_surrogate() -> None:
 def test_a_term_that_data_held_out_ask_to_be_different_is_a_surrogate() -> None:
     """x|x| for x^3 in a motion that is larger in the data held out, of which it explains 98 %."""
     search, result = named(CUBE, "v':x|x|", 4.0)
-    settings = StandInSettings(whole=0.995, more=0.0)
-    kept, remainder = without_stand_ins(search, result, None, settings)
+    settings = SurrogateSettings(whole=0.995, more=0.0)
+    kept, remainder = without_surrogates(search, result, None, settings)
     assert kept.surrogates == {"v':x|x|": DIFFERS} and kept.final is search.cache.base
     assert remainder is not None and remainder.disturbance.name == "v':f(x)"
     # The whole function, and not only what the term lacks: minus the cubic force, but for a constant and a linear part.
@@ -123,40 +124,40 @@ def test_a_term_that_data_held_out_ask_to_be_different_is_a_surrogate() -> None:
     straight = np.polynomial.Polynomial.fit(curve.knots, curve.values - true, 1)(curve.knots)
     assert curve.values == pytest.approx(true + straight, abs=0.05 * float(np.ptp(true)))
     # By default a term that explains nearly all is left as it is, and so is the true one.
-    assert without_stand_ins(search, result, None) == (result, None)
+    assert without_surrogates(search, result, None) == (result, None)
     right, its = named(CUBE, "v':x^3", 4.0)
-    assert without_stand_ins(right, its, None, replace(settings, whole=2.0)) == (its, None)
+    assert without_surrogates(right, its, None, replace(settings, whole=2.0)) == (its, None)
 
 
 def test_a_term_that_leaves_noise_is_a_cause() -> None:
     search, result = named(CUBE, "v':x^3")
-    assert not is_motion(result.final, StandInSettings.persistent)
-    assert without_stand_ins(search, result, None) == (result, None)
+    assert not is_motion(result.final, SurrogateSettings.persistent)
+    assert without_surrogates(search, result, None) == (result, None)
 
 
-def test_a_random_disturbance_beside_a_stand_in_is_not_told() -> None:
+def test_a_random_disturbance_beside_a_surrogate_is_not_told() -> None:
     """It holds what the term stands for. Beside the model without terms it stays."""
     search, result = named(BUMP, "v':u^2")
     of = histories_at(result.final, Place("equation", "v"))[0]
     beside, alone = (Remainder(of, at, 100.0, float("nan")) for at in (result.final, search.cache.base))
-    assert without_stand_ins(search, result, beside)[1] is None
-    assert without_stand_ins(search, result, alone)[1] is alone
+    assert without_surrogates(search, result, beside)[1] is None
+    assert without_surrogates(search, result, alone)[1] is alone
 
 
 def test_a_likelier_function_takes_the_place_of_a_named_term() -> None:
     search, result = named(CUBE, "v':x^3")
     (found,) = result.found
     of = replace(histories_at(search.cache.base, Place("equation", "v"))[0], kind="function", variable="x")
-    assert found.explained is not None and found.explained.interval[0] > StandInSettings.sure
+    assert found.explained is not None and found.explained.interval[0] > SurrogateSettings.sure
     part = replace(found, explained=replace(found.explained, part=0.7, interval=(0.6, 0.8)))
     # Not of one that explains nearly all of the misfit beyond doubt.
     for term, times, surrogates in ((part, 0.5, set()), (part, 2.0, {"v':x^3"}), (found, 2.0, set())):
         remainder = Remainder(of, search.cache.base, times * found.gain, float("nan"))
-        kept, _ = without_stand_ins(search, replace(result, found=(term,)), remainder)
+        kept, _ = without_surrogates(search, replace(result, found=(term,)), remainder)
         assert kept.surrogates.keys() == surrogates
 
 
 def test_what_nothing_was_named_for_is_left_as_it_is() -> None:
     search, _ = named(CUBE, "v':x^3")
     nothing = SearchResult(search.cache.base, search.cache.base)
-    assert without_stand_ins(search, nothing, None) == (nothing, None)
+    assert without_surrogates(search, nothing, None) == (nothing, None)

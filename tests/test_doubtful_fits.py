@@ -1,4 +1,4 @@
-"""How a run ended is not believed too easily: against noise that is known, against a constant, against its start, and
+"""A fit is checked after it has ended: against known noise, against a constant, against its start, and
 where the states do not satisfy the equations."""
 
 from __future__ import annotations

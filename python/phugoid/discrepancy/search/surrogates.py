@@ -1,11 +1,12 @@
-"""Named terms that stand in for something that no candidate describes, and whether residuals are a motion that the
+"""Named terms that are surrogates of something that no candidate describes, and whether residuals are a motion that the
 model does not have, or noise of a sensor.
 
 Of a misfit that has its cause outside of all candidates, the nearest of some hundred explains a part, significantly,
-and data held out confirm that part. What tells it from a cause is what it leaves. Beside a cause noise is left, or
-another cause is found; a stand-in leaves a motion that the model does not have, larger than what it explains.
+and data held out confirm that part. It is distinguished from a cause by the remaining residuals. Beside a cause they
+are noise, or another cause is found; beside a surrogate they are a motion that the model does not have, larger than
+what it explains.
 
-A stand-in may fit the records as well as the cause does, and only differ from it where data held out have another
+A surrogate may fit the records as well as the cause does, and only differ from it where data held out have another
 amplitude or another frequency: |u|u and u^3, or a lag and a delay. It shows when it is estimated from all records
 together. Then its coefficient moves by more than its standard error allows, or any function of its variable is
 likelier, or residuals that passed for noise in the records have structure.
@@ -38,10 +39,10 @@ from .remainder import Remainder
 __all__ = [
     "DIFFERS",
     "LEAVES_MORE",
-    "StandInSettings",
+    "SurrogateSettings",
     "is_motion",
     "persistence",
-    "without_stand_ins",
+    "without_surrogates",
 ]
 
 
@@ -62,7 +63,7 @@ _LOST = 0.015
 
 
 def is_motion(at: Refit, least: float) -> bool:
-    """Tell whether the residuals of any output persist so much, above the resolution of its sensor."""
+    """Return whether the residuals of any output persist so much, above the resolution of its sensor."""
     linear = at.linear
     for name, line, lasting in zip(linear.model.output_names, linear.rows, persistence(at), strict=True):
         power = float(np.mean(linear.residuals[line[0].start : line[-1].stop] ** 2))
@@ -120,7 +121,7 @@ def _at_lag(residuals: _Array, segments: Sequence[UniformSegment], steps: int) -
 
 
 @dataclass(frozen=True)
-class StandInSettings:
+class SurrogateSettings:
     """Set what terms must explain beside residuals that are error of the model.
 
     most        part of the misfit that all named terms explain together beyond doubt, else something else is larger.
@@ -148,13 +149,13 @@ class StandInSettings:
     structure: float = 0.05
 
 
-def without_stand_ins(
-    search: Search, result: SearchResult, remainder: Remainder | None, settings: StandInSettings | None = None
+def without_surrogates(
+    search: Search, result: SearchResult, remainder: Remainder | None, settings: SurrogateSettings | None = None
 ) -> tuple[SearchResult, Remainder | None]:
     """Return a search's result with terms that stand in for something else listed as surrogates, and in the full model
     alone; and what is left, but for a random disturbance that was found beside such terms: what these stand in for is
     in it."""
-    s, final = settings or StandInSettings(), result.final
+    s, final = settings or SurrogateSettings(), result.final
     named = [f for f in result.found if f.candidate is not None and f.candidate.name in final.names]
     if not named:
         return result, remainder
@@ -171,7 +172,7 @@ def without_stand_ins(
 
 
 def _outweighed(
-    search: Search, result: SearchResult, named: Sequence[Found], remainder: Remainder | None, s: StandInSettings
+    search: Search, result: SearchResult, named: Sequence[Found], remainder: Remainder | None, s: SurrogateSettings
 ) -> list[Candidate]:
     """Return the terms that leave more of the misfit, as a motion, than they explain."""
     unknown = remainder is not None and remainder.is_unknown
@@ -189,7 +190,7 @@ def _outweighed(
     ]
 
 
-def _differing(search: Search, final: Refit, s: StandInSettings) -> tuple[list[Candidate], Remainder | None]:
+def _differing(search: Search, final: Refit, s: SurrogateSettings) -> tuple[list[Candidate], Remainder | None]:
     """Return the terms that data held out ask to be different, and the function that is likelier than one of them."""
     cache = search.cache
     if not cache.validation or not all(c.transferable for c in final.candidates):
@@ -225,7 +226,7 @@ def _with_held_out(search: Search, at: Refit) -> Refit | None:
     return fitted_to(at, data, model=each, start=values_of(at.fit))
 
 
-def _has_changed(before: Refit, after: Refit, candidate: Candidate, s: StandInSettings) -> bool:
+def _has_changed(before: Refit, after: Refit, candidate: Candidate, s: SurrogateSettings) -> bool:
     """Tell whether a parameter of a candidate differs between two fits by more than its standard error allows, and by
     so much that the square of its effect tells."""
     known, change = after.fit.parameters, math.sqrt(s.more)
@@ -234,7 +235,7 @@ def _has_changed(before: Refit, after: Refit, candidate: Candidate, s: StandInSe
 
 
 def _likelier_shape(
-    search: Search, at: Refit, candidate: Candidate, together: Explained, s: StandInSettings
+    search: Search, at: Refit, candidate: Candidate, together: Explained, s: SurrogateSettings
 ) -> Disturbance | None:
     """Return the function of a candidate's variable that is likelier beside it, in its place, and explains much; None
     where there is none."""
@@ -268,7 +269,7 @@ def _is_sure(found: Found, sure: float) -> bool:
 
 
 def _of_its_own(found: Found, most: float) -> bool:
-    """Tell whether a term of one output explains that much of the misfit there: what is wrong with the others is no
+    """Return whether a term of one output explains that much of the misfit there: what is wrong with the others is no
     business of a sensor's."""
     c = found.candidate
     if c is None or c.place.kind != "output" or found.explained is None:

@@ -118,6 +118,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         "step": 18,
         "stribeck": 6,
         "hysteresis": 6,
+        "stall": 3,
         "mode": 3,
     }
     assert library.only("Cm:*").names == (
@@ -131,7 +132,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         *("Cm:|V|", "Cm:|alpha|", "Cm:|theta|", "Cm:|q|", "Cm:|de|", "Cm:|T|"),
         *("Cm:sign(V)", "Cm:sign(q)", "Cm:sign(de)", "Cm:sign(T)"),
         *("Cm:lag_V", "Cm:lag_alpha", "Cm:lag_theta", "Cm:lag_q", "Cm:lag_de", "Cm:lag_T"),
-        *("Cm:stribeck_V", "Cm:hysteresis_alpha", "Cm:hysteresis_theta", "Cm:stribeck_q"),
+        *("Cm:stribeck_V", "Cm:hysteresis_alpha", "Cm:hysteresis_theta", "Cm:stribeck_q", "Cm:stall"),
         *("Cm:periodic_theta", "Cm:saturation", "Cm:mode", "Cm:periodic"),
     )
     # Its own bias is there; q' + bias is what it measures, so that q' is its scale.

@@ -25,7 +25,7 @@ from .channel_effects import (
     SensorScale,
 )
 from .factors import HOW, EquationScale, FactorExponent, FactorLaw, ParameterLaw, SaturatingRate
-from .hysteresis import FlexibleMode, Hysteresis, Stribeck
+from .hysteresis import FlexibleMode, Hysteresis, Stall, Stribeck
 from .limits import Backlash, EndStop, LimitedForce, Overflow, RateLimit, StateLimit
 from .model_structure import ANGLES, LENGTHS, TURN, ModelStructure, Variable, motion_part
 from .scales import Scales, output_key
@@ -36,6 +36,8 @@ __all__ = ["Catalogue", "Names", "stem"]
 
 # Coordinates of a mechanism, at most, whose rotation may act on each other: the terms are the cube of that many.
 _COORDINATES = 3
+# Names of an angle of attack, by which alone it is known.
+_ANGLES_OF_ATTACK = ("alpha", "aoa", "angle_of_attack", "\N{GREEK SMALL LETTER ALPHA}")
 # What can be wrong with a condition, which is measured and not commanded: nothing that an actuator does.
 _OF_CONDITIONS = ("scale", "bias", "delay")
 
@@ -329,6 +331,18 @@ class Catalogue:
                     self.scales,
                     (self.names(f"{base}_hysteresis_{v.shown}"),),
                     (self.names(f"yield_{base}_{v.shown}"), self.names(f"turn_{base}_{v.shown}")),
+                    variables=(v.symbol,),
+                )
+        for v in self.structure.variables:
+            if v.symbol.lower() in _ANGLES_OF_ATTACK and v.symbol in self.structure.expression(place).symbols:
+                yield Stall(
+                    f"{shown}:stall",
+                    place,
+                    f"{words} loses a part where {v.shown} is large, with a lag (stall: flow that separates)",
+                    "stall",
+                    self.scales,
+                    (self.names(f"{base}_stall"),),
+                    tuple(self.names(f"{what}_{base}_stall") for what in ("angle", "width", "tau")),
                     variables=(v.symbol,),
                 )
         for v in self.structure.variables:

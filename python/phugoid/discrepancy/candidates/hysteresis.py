@@ -1,4 +1,4 @@
-"""Terms that depend on the past of the motion: hysteresis, friction at rest, a mode that the model lacks."""
+"""Terms that depend on the past of the motion: hysteresis, friction at rest, stall, a mode that the model lacks."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._core import Expr, bouc_wen
-from ...functions import exp, smooth_abs, smooth_sign
+from ..._core import Expr, bouc_wen, lagged
+from ...functions import exp, smooth_abs, smooth_sign, sqrt, tanh
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
 from .candidate import Effect, ExtensionBuilder, largest_coefficient
-from .scales import evaluated, mode_grid, of, rate_key, second_order
+from .scales import evaluated, lag_bounds, lag_grid, longest_lag, mode_grid, of, rate_key, second_order
 
-__all__ = ["FlexibleMode", "Hysteresis", "Stribeck"]
+__all__ = ["FlexibleMode", "Hysteresis", "Stall", "Stribeck"]
 
 _Array = NDArray[np.float64]
 
@@ -27,6 +27,10 @@ _KINK = 0.01
 _SHARP, _TURNS, _LEAST_TURN, _TURN_DEVIATION = 1.0, (1.0, -1.2), -3.0, 1.5
 # The jump of dry friction is rounded over this part of a velocity's range, as that of Coulomb friction is.
 _JUMP = 0.005
+# Of stall what a scan tries: the angle at which half of the flow is separated, above the least in parts of the range of
+# the angle of attack, the half width of the transition in the same, and the place of the time constant among those of
+# lags. And the part of the chord that is attached below which its root is rounded.
+_BREAKS, _WIDTHS, _LATE, _ATTACHED = (0.45, 0.6, 0.75, 0.9), (0.06, 0.15), (2, 5), 1e-3
 # Damping ratio of a mode that is looked for, and those that it may have.
 _DAMPING, _DAMPINGS = 0.05, (0.0005, 0.5)
 
@@ -145,6 +149,87 @@ class Stribeck(Effect):
         # Friction is no less at rest than in motion, and beyond half the greatest speed it is no effect of low ones.
         least, most = (0.0 if self.direction < 0 else -largest), (0.0 if self.direction > 0 else largest)
         return {self.coefficients[0]: (least, most), self.shape_names[0]: (0.005 * peak, 0.5 * peak)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Stall(Effect):
+    """Loss of lift by flow that separates from the trailing edge: c a (1 - ((1 + sqrt(X)) / 2)^2) with the angle of
+    attack a and the attached part X of the chord, tau X' = (1 - tanh((a - a_s) / w)) / 2 - X (Kirchhoff's theory;
+    Jategaonkar 2015, section 12.3; Fischenberg 1995).
+
+    At a_s half of the chord is separated in steady flow; w is the half width of the transition, 1 / a_1 there.
+    """
+
+    stage: int = 5
+
+    @property
+    def several_starts(self) -> bool:
+        return True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _, width, tau = self.shape_names
+        span, lags = self.scales.span(*self.variables), np.asarray(lag_grid(self.scales))
+        late = lags[np.minimum(_LATE, lags.size - 1)].tolist()
+        shapes = [{**s, width: w * span, tau: x} for s in self.shapes for w in _WIDTHS for x in late]
+        object.__setattr__(self, "shapes", tuple(shapes))
+
+    def grid(self) -> Iterable[float]:
+        low, high = self._range
+        return low + (high - low) * np.array(_BREAKS)
+
+    @property
+    def _range(self) -> tuple[float, float]:
+        (name,) = self.variables
+        low = self.scales.low.get(name, 0.0)
+        return low, low + self.scales.span(name)
+
+    @property
+    def _state(self) -> str:
+        return f"{self.place.name}_attached"
+
+    def _attached(self, points: Points, shape: Mapping[str, float]) -> tuple[_Array, _Array]:
+        """Return the angle of attack and the attached part of the chord (n,) along a path."""
+        at, width, tau = (shape[n] for n in self.shape_names)
+        a = of(points.values, self.variables[0], points, "state or input")
+        return a, lagged(points.t, 0.5 * (1.0 - np.tanh((a - at) / width)), tau)
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        a, x = self._attached(points, shape)
+        return np.asarray(a * (1.0 - 0.25 * (1.0 + np.sqrt(np.hypot(x, _ATTACHED))) ** 2))[np.newaxis]
+
+    def paths(self, points: Points, start: Mapping[str, float]) -> Mapping[str, _Array]:
+        if not all(n in start for n in self.shape_names):
+            return {}
+        return {self._state: self._attached(points, start)[1]}
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        (name,), (low, high) = self.variables, self._range
+        span, unit, a = high - low, model.variable_units.get(name, ""), Expr.symbol(name)
+        middle = self.shapes[len(self.shapes) // 2]
+        at_name, width_name, tau_name = self.shape_names
+        c = extension.parameter(self.coefficients[0])
+        at = extension.parameter(at_name, middle[at_name], bounds=(low, high + span), unit=unit)
+        widths = (0.005 * span, 2.0 * span)
+        w = extension.parameter(width_name, middle[width_name], bounds=widths, unit=unit, transform="log")
+        options = {**lag_bounds(self.scales, model.time_unit), "transform": "log"}
+        tau = extension.parameter(tau_name, middle[tau_name], **options)
+        steady = Expr(0.5 * (1 - tanh((a - at) / w)))
+        x = extension.state(self._state, "", lambda x: (steady - x) / tau, steady)
+        extension.add(self.place, c * a * (1 - 0.25 * (1 + sqrt(smooth_abs(x, _ATTACHED))) ** 2))
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        largest = largest_coefficient(self, self.shapes[len(self.shapes) // 2], points)
+        (low, high), (at, width, tau) = self._range, self.shape_names
+        span = high - low
+        return {
+            self.coefficients[0]: (-largest, largest),
+            at: (low, high + 0.5 * span),
+            width: (0.01 * span, span),
+            tau: (0.0, longest_lag(points)),
+        }
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -220,6 +220,22 @@ class Search:
                 return found
         return None
 
+    def _with_stall(self, at: Refit) -> Refit:
+        """Return the refit with stall in place of all terms with the angle of attack in the same place, where it is
+        likelier by more than it has unknowns: powers of the angle, which are simpler, stand for a part of it each."""
+        for c in [c for c in self.cache.candidates if isinstance(c, Effect) and c.family == "stall"]:
+            own = [o for o in at.candidates if isinstance(o, Effect) and o.place == c.place]
+            own = [o for o in own if c.variables[0] in o.variables]
+            if not own or c.name in at.names:
+                continue
+            # From the fit of the base: that with the other terms is at another optimum.
+            found = self.cache.refit([*at.beside(own), c])
+            if found is None or not is_physical(found, c):
+                continue
+            if found.merit - self.chances(found) > at.merit - self.chances(at):
+                at = found
+        return at
+
     def _plain(self, at: Refit) -> Refit | None:
         """Return the refit with one more constant or linear term, of all that there are, that is confirmed."""
         return self.confirmation.accepted(at, self.refitting.tries(at, simple=True))[0]
@@ -231,7 +247,7 @@ class Search:
 
     def _ended(self, steps: list[Refit], unexplained: Found | None) -> SearchResult:
         """Return the result of a search of some steps."""
-        current = self._pruned(steps[-1])
+        current = self._pruned(self._with_stall(steps[-1]))
         if not is_structured(current, self.settings.structure):
             unexplained = None  # what is left passes for noise
         unexplained = unexplained or self.confirmation.ringing(current)

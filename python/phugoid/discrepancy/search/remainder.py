@@ -183,7 +183,7 @@ def _event_alone(search: Search, base: Refit, known: Disturbances, s: RemainderS
 
 
 def _is_wrong_alone(search: Search, at: Refit, s: RemainderSettings) -> bool:
-    """Tell whether a model leaves more than noise of the data held out where it is estimated from these alone. A model
+    """Return whether a model leaves more than noise of the data held out where it is estimated from these alone. One
     that lacks nothing but an event in the records leaves noise, unless it is wrong there, too."""
     alone = fitted_to(at, search.cache.validation) if search.cache.validation else None
     return alone is not None and is_structured(alone, s.elsewhere)
@@ -350,8 +350,8 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
 
 
 def _moves(linear: Linearised, d: Disturbance, s: RemainderSettings) -> bool:
-    """Tell whether a time history, or its size, goes with the motion or the inputs: noise does not know of what moves,
-    unmodelled dynamics answer it (the test of independence between residuals and past inputs, Ljung 1999, section
+    """Return whether a time history, or its size, goes with the motion or the inputs: noise does not know of what
+    moves, unmodelled dynamics answer it (the test of independence between residuals and past inputs, Ljung 1999, section
     16.6)."""
     size = d.values**2 - np.mean(d.values**2)
     return (

@@ -36,7 +36,7 @@ __all__ = [
 # A constant before a linear term before any other, and those with states of their own or two unknowns last.
 RICH = 3
 _ORDER = {"bias": 0, "linear": 1, "scale": 1, "factor": 1}
-_ORDER |= dict.fromkeys(("stribeck", "hysteresis", "mode", "ripple", "saturating"), RICH)
+_ORDER |= dict.fromkeys(("stribeck", "hysteresis", "stall", "mode", "ripple", "saturating"), RICH)
 _OTHER = 2
 # Twice the difference in log-likelihood, of as many samples as coloured residuals are worth, below which two refits are
 # equally good: chance exceeds it once in a hundred times with two parameters that differ.

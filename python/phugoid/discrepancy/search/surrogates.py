@@ -227,7 +227,7 @@ def _with_held_out(search: Search, at: Refit) -> Refit | None:
 
 
 def _has_changed(before: Refit, after: Refit, candidate: Candidate, s: SurrogateSettings) -> bool:
-    """Tell whether a parameter of a candidate differs between two fits by more than its standard error allows, and by
+    """Return whether a parameter of a candidate differs between two fits by more than its standard error allows, and by
     so much that the square of its effect tells."""
     known, change = after.fit.parameters, math.sqrt(s.more)
     values = {n: each for n, each in before.parameters(candidate).items() if n in known}

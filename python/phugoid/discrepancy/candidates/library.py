@@ -85,8 +85,8 @@ def candidates(
     of attack acts, a lightly damped mode, what is periodic in a position, a periodic disturbance, a limit of the whole
     where an input stands in it. States that go no further than a limit. In outputs: bias, scale, a characteristic that
     is not straight, drift, delay, lag, clipping, play of a position's sensor, linear terms, squares and products of
-    rates, derivatives of rates, lags of inputs that act at once. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of
-    conditions (`Model.conditions`) scale, bias and delay.
+    rates, derivatives of rates, lags of inputs that act at once. On inputs: scale, bias, dead-band, saturation,
+    backlash, limited rate, lag, delay; of conditions (`Model.conditions`) scale, bias and delay.
     Parameters of the state equations may change in the course of a record, alone or several at one time, or with the
     integral of an input, and so may masses; rates saturate with what is stored; forces decay with a position; what is
     in proportion to an amount may go with another power of it.

@@ -351,8 +351,8 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
 
 def _moves(linear: Linearised, d: Disturbance, s: RemainderSettings) -> bool:
     """Return whether a time history, or its size, goes with the motion or the inputs: noise does not know of what
-    moves, unmodelled dynamics answer it (the test of independence between residuals and past inputs, Ljung 1999, section
-    16.6)."""
+    moves, unmodelled dynamics answer it (the test of independence between residuals and past inputs, Ljung 1999,
+    section 16.6)."""
     size = d.values**2 - np.mean(d.values**2)
     return (
         _goes_with_motion(linear, d) > s.motion

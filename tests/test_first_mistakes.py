@@ -1,5 +1,8 @@
 """What a newcomer gets wrong is told where it happens: too few data, coarse meshes, poor optima, slips of the pen."""
 
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -193,3 +196,12 @@ def test_numbers_for_noise_are_told_what_to_write() -> None:
         ph.estimate(lag(), lag_record(20), noise={"x": 0.1})  # type: ignore[arg-type]
     with pytest.raises(ph.OptionError, match=r"by output, as in ph\.Gaussian"):
         ph.multistart(lag(), lag_record(20), {"a": (-1, 0)}, n=2, noise=0.1)  # type: ignore[arg-type]
+
+
+def test_sources_that_are_not_built_say_what_to_run(tmp_path: Path) -> None:
+    (tmp_path / "phugoid").mkdir()
+    shutil.copy(str(ph.__file__), tmp_path / "phugoid")
+    code = [sys.executable, "-c", "import phugoid"]
+    run = subprocess.run(code, cwd=tmp_path, capture_output=True, text=True)
+    assert run.returncode == 1 and "not built" in run.stderr and "pip install ." in run.stderr
+    assert "During handling" not in run.stderr

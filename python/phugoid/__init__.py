@@ -16,8 +16,17 @@ import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from ._core import Expr as Expr
-from ._core import __version__ as __version__
+try:
+    from ._core import Expr as Expr
+    from ._core import __version__ as __version__
+except ModuleNotFoundError as error:
+    if error.name != f"{__name__}._core":
+        raise
+    raise ModuleNotFoundError(
+        "phugoid is not built for this Python: it lacks its compiled module phugoid._core. Run `pip install .` in the "
+        "checkout (`make develop` to edit the package), or leave the folder with its sources",
+        name=error.name,
+    ) from None
 
 if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES; a name imported `as` itself is public for type checkers
     from . import design as design

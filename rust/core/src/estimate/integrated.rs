@@ -75,7 +75,8 @@ impl Estimation<'_> {
                 }
                 fit.warnings.push(format!(
                     "the model integrated with these estimates has the log-likelihood {}, and not {} as the path on the mesh: the \
-                     mesh is too coarse for this path, or the motion too unstable to be integrated over the record",
+                     mesh is too coarse for this path, the motion too unstable to be integrated over the record, or an estimate has run \
+                     away, which other start values or bounds may prevent",
                     short(found, 6),
                     short(path, 6)
                 ));

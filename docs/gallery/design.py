@@ -3,7 +3,7 @@ Which manoeuvre?
 ================
 
 Four inputs for the short period of an aircraft are compared before the flight: which standard errors of the
-derivatives are to be expected, and which input stays within the limits?
+derivatives are to be expected, and does each input stay within the limits?
 """
 
 import numpy as np
@@ -33,6 +33,6 @@ shapes = {
 }
 manoeuvres = {name: ph.Experiment(t, {"de": u}, name=name) for name, u in shapes.items()}
 limits = {"alpha": 0.06, "q": 0.2, "de": 0.05}
-plans = ph.design.plans(m, manoeuvres, noise={"alpha": 0.01, "q": 0.01}, limits=limits)
+plans = design.plans(m, manoeuvres, noise={"alpha": 0.01, "q": 0.01}, limits=limits)
 print(plans.summary())
 figure, axes = plans.plot()

@@ -2,9 +2,9 @@
 Turbulence
 ==========
 
-In gusts the equations of motion are disturbed, not only the sensors. Output error has no place for
-that but the measurement noise; the filter-error method integrates the gusts out, and estimates how
-strong they are.
+Gusts disturb the equations of motion, not only the sensors. The output-error method attributes all of it to
+measurement noise; the filter-error method has process noise, over which it integrates, and estimates its
+intensity.
 """
 
 import numpy as np
@@ -39,9 +39,9 @@ measured = x + 0.002 * random.standard_normal((n, 2))
 run = ph.Experiment(t, {"de": de_t}, {"q": measured[:, 0], "theta": measured[:, 1]}, name="gusts")
 
 # %%
-# The sensors are so good that it matters what the noise does *between* two samples, where it goes
-# from ``q`` into ``theta``. That is part of the likelihood: noise that comes at the samples alone
-# would have the damping come out a tenth too small here.
+# The sensors are so precise that the likelihood must include what the noise does *between* two samples, where
+# it passes from ``q`` to ``theta``. With noise that acts at the samples only, the damping would be wrong by about
+# 10 %.
 
 plain = ph.estimate(m, run)
 gusts = ph.estimate(m, run, transcription=ph.FilterError(states=("q",)))
@@ -50,7 +50,8 @@ for name, true in {"Mq": -2.0, "Mt": -4.0, "Mde": -6.0}.items():
 print(gusts.parameters["q_q"], "  true: 0.05")
 
 # %%
-# Output error is many of its standard errors from the truth; the filter-error method says how
-# uncertain it is. Residuals are those of the smoothed states, hence small:
+# The estimates of the output-error method are many of their standard errors away from the truth; those of the
+# filter-error method agree with it within theirs, which are larger. The residuals below are small, since they are
+# those of the smoothed states:
 
 figure, axes = gusts.plot()

@@ -2,9 +2,9 @@
 An unstable aircraft
 ====================
 
-Output error by single shooting needs a simulation that stays near the data, which an unstable
-aircraft does not. With collocation the states are unknowns, which start at their measured values: nothing
-is simulated, and nothing diverges.
+Single shooting simulates the whole record, and the simulation of an unstable aircraft soon departs from the
+data. With collocation the states at all points are unknowns that start at their measured values: nothing is
+simulated, and nothing diverges.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ m.dynamics(w=Zw * w + (U0 + Zq) * q + Zde * de, q=Mw * w + Mq * q + Mde * de)
 m.outputs(w=w, q=q, az=(Zw * w + Zq * q + Zde * de, "m/s²"))
 
 # %%
-# Six seconds with a small doublet, in which the motion runs away, and noise:
+# Six seconds with a small doublet, during which the motion diverges, and with noise on the sensors:
 
 truth = {"Zw": -1.4249, "Zq": -1.4768, "Zde": -6.2632, "Mw": 0.2163, "Mq": -3.7067, "Mde": -12.784}
 t = np.arange(0, 6, 0.02)

@@ -2,8 +2,8 @@
 A vibration test
 ================
 
-Two modes that lie close together, a random force, one accelerometer. The subspace method finds
-them without start values; maximum likelihood makes the estimate, with standard errors.
+Three modes, two of them close together, are excited by a random force and measured by one accelerometer. The
+subspace method finds them without start values; maximum likelihood refines them and gives standard errors.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ fit = ph.estimate(ph.models.modal(start=system), run)
 print(ph.linear.modes(fit))
 
 # %%
-# The record's own frequency response, and that of the fit:
+# The frequency response estimated from the record itself, and that of the fit:
 
 measured = ph.linear.frequency_response(run, "force", "acc", method="h1", segment=1000)
 model = ph.linear.frequency_response(fit, np.linspace(0.5, 10, 600), "force", "acc")

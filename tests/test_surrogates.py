@@ -11,7 +11,8 @@ import pytest
 
 import phugoid as ph
 from phugoid.discrepancy.search import Search, SearchResult
-from phugoid.discrepancy.search.disturbance import histories_at
+from phugoid.discrepancy.search.disturbance import histories_at, likeliest_function
+from phugoid.discrepancy.search.other_laws import unknown_function
 from phugoid.discrepancy.search.refit import Refit
 from phugoid.discrepancy.search.remainder import Remainder
 from phugoid.discrepancy.search.surrogates import DIFFERS, SurrogateSettings, is_motion, persistence, without_surrogates
@@ -127,6 +128,18 @@ def test_a_term_that_data_held_out_ask_to_be_different_is_a_surrogate() -> None:
     assert without_surrogates(search, result, None) == (result, None)
     right, its = named(CUBE, "v':x^3", 4.0)
     assert without_surrogates(right, its, None, replace(settings, whole=2.0)) == (its, None)
+
+
+def test_no_function_of_an_input_with_two_levels_is_fitted() -> None:
+    """Any such function is a constant and a linear part. A term of this input had the search ask for one."""
+    t, rng = T[::4], np.random.default_rng(5)
+    u = np.where(np.sin(0.5 * t + 0.01 * t**2) > 0.0, 0.8, -0.8)
+    clean = ph.simulate(spring(""), {"k": 1.0, "c": 0.3}, ph.Experiment(t, {"u": u}), initial={"x": 0.0, "v": 0.0})
+    y = {n: z + 0.01 * rng.standard_normal(t.size) for n, z in clean.outputs.items()}
+    base = Refit((), collocated(ph.estimate(spring(""), ph.Experiment(t, {"u": u}, y))))
+    search, place = Search(base, ph.candidates(spring(""), points=base.linear.points)), Place("equation", "v")
+    assert likeliest_function(base, place, "u") is None and likeliest_function(base, place, "x") is not None
+    assert unknown_function(search, base, SearchResult(base, base), place, "u") is None
 
 
 def test_a_term_that_leaves_noise_is_a_cause() -> None:

@@ -33,6 +33,7 @@ __all__ = [
     "functions",
     "functions_of",
     "histories_at",
+    "likeliest_function",
     "noises_of",
     "powers_of",
 ]
@@ -280,6 +281,12 @@ def functions(
                 merit = marginal.log_likelihood - 2.0 - cost
                 found.append(Disturbance("function", place, variable, merit, marginal, 0.0, None, nodes, 0.0))
     return found
+
+
+def likeliest_function(at: Refit, place: Place, variable: str) -> Disturbance | None:
+    """Return the likeliest smooth function of a variable at a place, however quickly it bends; None where the variable
+    has too few values, or nothing is seen of the place."""
+    return max(functions(at, place, [variable], BENDS), key=lambda h: h.merit, default=None)
 
 
 def noises_of(at: Refit) -> list[tuple[Filter | None, _Array, int]]:

@@ -25,7 +25,7 @@ from ..candidates.candidate import Candidate, Effect, is_function
 from ..candidates.scales import Scales
 from ..candidates.terms import tabulated, where
 from . import Search, SearchResult
-from .disturbance import BENDS, Disturbance, functions
+from .disturbance import Disturbance, likeliest_function
 from .evidence import is_physical
 from .free_run import Explained, Misfitting, Simulated
 from .refit import Refit, fitted_to, on_other_data, refit, started_from
@@ -286,17 +286,18 @@ def unknown_function(
     if without is None:
         kept, without = [], search.cache.base
     search.cache.watch(f"fitting any function of {variable} in {where(place)}")
-    fitted, curve = _settled(search, without, place, variable)
-    if fitted is None:
+    settled = _settled(search, without, place, variable)
+    if settled is None:
         return None
+    fitted, curve = settled
     # Beside the function others may be needless.
     for c in kept:
         fewer = search.cache.refit([o for o in fitted.candidates[:-1] if o is not c], without.fit)
         if fewer is None:
             continue
-        other, its = _settled(search, fewer, place, variable)
-        if other is not None and assess.gain(other, fitted) < assess.needed(fitted, c):
-            fitted, curve = other, its
+        other = _settled(search, fewer, place, variable)
+        if other is not None and assess.gain(other[0], fitted) < assess.needed(fitted, c):
+            fitted, curve = other
     without = search.cache.refit(fitted.candidates[:-1], fitted.fit)
     if without is None:
         return None
@@ -350,9 +351,11 @@ def formula(search: Search, of: UnknownFunction) -> Refit | None:
     return max((r for r in refits if r is not None and stands(r)), key=lambda r: r.merit, default=None)
 
 
-def _settled(search: Search, without: Refit, place: Place, variable: str) -> tuple[Refit | None, Disturbance]:
-    """Return the likeliest refit with the function, None where there is none, and its curve."""
-    first = _likeliest(without, place, variable)
+def _settled(search: Search, without: Refit, place: Place, variable: str) -> tuple[Refit, Disturbance] | None:
+    """Return the likeliest refit with the function, and its curve; None where there is none."""
+    first = likeliest_function(without, place, variable)
+    if first is None:
+        return None
     nodes = np.linspace(first.knots[0], first.knots[-1], _NODES)
     values = np.interp(nodes, first.knots, first.values)
     deviations = np.interp(nodes, first.knots, first.marginal.deviations)
@@ -370,10 +373,13 @@ def _settled(search: Search, without: Refit, place: Place, variable: str) -> tup
         return r.fit.parameters[r.candidates[-1].coefficients[0]].value
 
     best = fitted(values, without)
-    for _ in range(_ROUNDS if best is not None else 0):
-        assert best is not None
+    if best is None:
+        return None
+    for _ in range(_ROUNDS):
         # About this fit: what it has already, and what is still missing.
-        missing = _likeliest(best, place, variable)
+        missing = likeliest_function(best, place, variable)
+        if missing is None:
+            break
         more = np.interp(nodes, missing.knots, missing.values)
         known = factor(best) * values
         tries = ((part, fitted(known + part * more, best)) for part in _STEPS)
@@ -381,10 +387,5 @@ def _settled(search: Search, without: Refit, place: Place, variable: str) -> tup
         if following is None:
             break
         best, values = following, known + part * more
-    values = values if best is None else factor(best) * values
-    marginal = replace(first.marginal, coefficients=values, deviations=deviations)
+    marginal = replace(first.marginal, coefficients=factor(best) * values, deviations=deviations)
     return best, replace(first, knots=nodes, marginal=marginal)
-
-
-def _likeliest(at: Refit, place: Place, variable: str) -> Disturbance:
-    return max(functions(at, place, [variable], BENDS), key=lambda h: h.merit)

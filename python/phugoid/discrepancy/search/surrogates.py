@@ -31,7 +31,7 @@ from ...residual_noise import UniformSegment
 from ..candidates.candidate import Candidate, Effect, is_function
 from . import Search, SearchResult
 from .confirmation import Found
-from .disturbance import BENDS, Disturbance, functions
+from .disturbance import Disturbance, likeliest_function
 from .free_run import Explained, Misfitting, Simulated
 from .refit import Refit, fitted_to, is_structured, values_of
 from .remainder import Remainder
@@ -202,9 +202,7 @@ def _differing(search: Search, final: Refit, s: SurrogateSettings) -> tuple[list
     every = _with_held_out(search, final)
     if every is None:
         return [], None
-    likelier = {
-        c.name: h for c in final.candidates if (h := _likelier_shape(search, every, c, together, s)) is not None
-    }
+    likelier = _likelier_shapes(search, every, together, s)
     found = [c for c in final.candidates if c.name in likelier or _has_changed(final, every, c, s)]
     if not found and not is_structured(final, s.structure) and is_structured(every, s.structure):
         found = list(final.candidates)
@@ -234,21 +232,21 @@ def _has_changed(before: Refit, after: Refit, candidate: Candidate, s: Surrogate
     return any(abs(known[n].value - v) > max(s.deviation * e, change * abs(v)) for n, (v, e) in values.items())
 
 
-def _likelier_shape(
-    search: Search, at: Refit, candidate: Candidate, together: Explained, s: SurrogateSettings
-) -> Disturbance | None:
-    """Return the function of a candidate's variable that is likelier beside it, in its place, and explains much; None
-    where there is none."""
-    if not isinstance(candidate, Effect) or not is_function(candidate):
-        return None
-    every = functions(at, candidate.place, candidate.variables, BENDS)
-    best = max(every, key=lambda h: h.merit, default=None)
-    base = _with_held_out(search, search.cache.base)
-    if best is None or best.merit < at.merit + s.margin or base is None:
-        return None
-    without = Simulated.of(at.linear)
-    rest = Simulated.of(at.linear, best.marginal.residuals).explained(without, Misfitting.of(base.linear))
-    return best if rest.part > s.more * together.part else None
+def _likelier_shapes(search: Search, at: Refit, together: Explained, s: SurrogateSettings) -> dict[str, Disturbance]:
+    """Return, by the name of a term, the function of its variable that is likelier beside it, in its place, and
+    explains much."""
+    terms = [c for c in at.candidates if isinstance(c, Effect) and is_function(c)]
+    every = {c.name: likeliest_function(at, c.place, *c.variables) for c in terms}
+    ahead = {n: h for n, h in every.items() if h is not None and h.merit >= at.merit + s.margin}
+    base = _with_held_out(search, search.cache.base) if ahead else None
+    if base is None:
+        return {}
+    without, misfit = Simulated.of(at.linear), Misfitting.of(base.linear)
+
+    def part(h: Disturbance) -> float:
+        return Simulated.of(at.linear, h.marginal.residuals).explained(without, misfit).part
+
+    return {n: h for n, h in ahead.items() if part(h) > s.more * together.part}
 
 
 def _beside(at: Refit, candidate: Candidate, rest: Disturbance) -> Disturbance:

@@ -7,8 +7,9 @@ import pytest
 
 import phugoid as ph
 from phugoid.discrepancy.search.disturbance import components_of, histories_at
+from phugoid.discrepancy.search.randomness import in_a_tenth
 from phugoid.discrepancy.search.refit import Refit
-from phugoid.discrepancy.search.remainder import RemainderSettings, _in_a_tenth
+from phugoid.discrepancy.search.remainder import RemainderSettings
 from phugoid.estimation import estimate
 from phugoid.sensitivities import Place
 
@@ -52,7 +53,7 @@ def test_components_of_gusts_are_standard_normal_and_those_of_an_oscillation_are
         components = components_of(at.linear, histories_at(at, Place("equation", "v"))[0])
         assert components.size > 100
         assert np.std(components) == pytest.approx(1.0, abs=0.1)
-        parts[acts] = _in_a_tenth(components)
+        parts[acts] = in_a_tenth(components)
     assert parts["gusts"] < RemainderSettings().components - 0.1  # of normal values 0.44
     assert parts["wake"] > RemainderSettings().components + 0.3
 

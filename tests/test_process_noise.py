@@ -13,8 +13,9 @@ from short_period import T
 import phugoid as ph
 from phugoid.discrepancy.search.disturbance import histories_at
 from phugoid.discrepancy.search.process_noise import filtered, filtered_elsewhere, through_shaping_filter
+from phugoid.discrepancy.search.randomness import goes_with_motion, parts_predicted, products_of_motion
 from phugoid.discrepancy.search.refit import Refit
-from phugoid.discrepancy.search.remainder import RemainderSettings, _goes_with_motion, _part_predicted, _products
+from phugoid.discrepancy.search.remainder import RemainderSettings
 from phugoid.sensitivities import Place
 from phugoid.sensitivities.tangents import collocated
 
@@ -82,11 +83,11 @@ def test_a_slow_history_that_goes_with_the_motion_by_chance_is_a_random_one() ->
     s = situation("gust", "servo", 20270419)
     at = Refit((), collocated(ph.estimate(s.model, s.data)))
     of = histories_at(at, Place("equation", "rate"))[0]
-    assert _goes_with_motion(at.linear, of) == 0.0
+    assert goes_with_motion(at.linear, of) == 0.0
     (p,) = at.linear.points
     function = np.interp(of.knots, p.t, p.values["angle"] * p.values["rate"])
     same = replace(of, marginal=replace(of.marginal, coefficients=function))
-    assert _goes_with_motion(at.linear, same) > RemainderSettings.motion
+    assert goes_with_motion(at.linear, same) > RemainderSettings.motion
 
 
 def test_gusts_know_nothing_of_products_of_the_motion_and_an_unknown_function_or_a_changing_factor_does() -> None:
@@ -98,8 +99,8 @@ def test_gusts_know_nothing_of_products_of_the_motion_and_an_unknown_function_or
     noise = of.values.std() * np.random.default_rng(3).standard_normal(of.knots.size)
 
     def parts(values: np.ndarray) -> list[float]:
-        each = values, values**2 - np.mean(values**2)
-        return [_part_predicted(at.linear, of, v, _products) for v in each]
+        each = [values, values**2 - np.mean(values**2)]
+        return parts_predicted(at.linear, of, products_of_motion, each)
 
     assert max(parts(of.values)) < 0.5 * least
     function = angle * rate

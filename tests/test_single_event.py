@@ -122,7 +122,7 @@ def levels(seed: int, poured: bool, leaks: float) -> ph.Experiment:
 
 
 def left_beside_the_product(leaks: float) -> Remainder | None:
-    """What is left beside a term h1 h2, which is taken to predict data held out."""
+    """Return what is left beside a term h1 h2, which is taken to predict data held out."""
     base = Refit((), collocated(ph.estimate(tanks(), levels(3, True, leaks))))
     candidates = ph.candidates(tanks(), points=base.linear.points)
     search = Search(base, candidates, [levels(4, False, leaks)])

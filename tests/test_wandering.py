@@ -9,8 +9,8 @@ from hidden.situation import situation
 
 import phugoid as ph
 from phugoid.discrepancy.search import Search
+from phugoid.discrepancy.search.randomness import in_a_tenth
 from phugoid.discrepancy.search.refit import Refit, refit
-from phugoid.discrepancy.search.remainder import _in_a_tenth
 from phugoid.discrepancy.search.ringing import wandering
 from phugoid.sensitivities.tangents import collocated
 
@@ -65,5 +65,5 @@ def test_white_noise_does_not_wander() -> None:
 def test_bursts_are_told_from_normal_values() -> None:
     rng = np.random.default_rng(0)
     normal = rng.standard_normal(20_000)
-    assert _in_a_tenth(normal) == pytest.approx(0.438, abs=0.01)
-    assert _in_a_tenth(normal * (np.arange(normal.size) % 100 < 8)) == pytest.approx(1.0)
+    assert in_a_tenth(normal) == pytest.approx(0.438, abs=0.01)
+    assert in_a_tenth(normal * (np.arange(normal.size) % 100 < 8)) == pytest.approx(1.0)

@@ -224,8 +224,8 @@ class Search:
         """Return the refit with stall in place of all terms with the angle of attack in the same place, where it is
         likelier by more than it has unknowns: powers of the angle, which are simpler, stand for a part of it each."""
         for c in [c for c in self.cache.candidates if isinstance(c, Effect) and c.family == "stall"]:
-            own = [o for o in at.candidates if isinstance(o, Effect) and o.place == c.place]
-            own = [o for o in own if c.variables[0] in o.variables]
+            effects = [o for o in at.candidates if isinstance(o, Effect)]
+            own = [o for o in effects if o.place == c.place and c.variables[0] in o.variables]
             if not own or c.name in at.names:
                 continue
             # From the fit of the base: that with the other terms is at another optimum.

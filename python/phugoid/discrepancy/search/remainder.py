@@ -7,16 +7,14 @@ with a disturbance at each place of the model (`disturbance`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._core import lagged
 from ...frozen_model import freed_by_default
-from ...sensitivities import Place, Points
+from ...sensitivities import Place
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.whitened import Whitened
 from ..candidates.candidate import Candidate, Effect, is_function
@@ -25,6 +23,7 @@ from .disturbance import Disturbance, Disturbances, components_of, disturbance_a
 from .free_run import LEAST, Explained, Misfitting, Simulated
 from .other_laws import formula, terms_of, unknown_function
 from .process_noise import FilterErrorRefit, filtered, filtered_elsewhere, single_event
+from .randomness import goes_with_motion, in_a_tenth, parts_predicted, past_inputs, products_of_motion
 from .refit import Refit, fitted_to, is_structured
 from .ringing import wandering
 
@@ -335,8 +334,8 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         if held_out <= 0.0:
             return None
     moves = d.kind == "noise" and _moves(option.at.linear, d, s)
-    bursts = d.kind == "noise" and _in_a_tenth(d.values) > s.bursts
-    oscillates = d.kind == "noise" and _in_a_tenth(components_of(option.at.linear, d)) > s.components
+    bursts = d.kind == "noise" and in_a_tenth(d.values) > s.bursts
+    oscillates = d.kind == "noise" and in_a_tenth(components_of(option.at.linear, d)) > s.components
     return Remainder(
         d,
         option.at,
@@ -350,21 +349,15 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
 
 
 def _moves(linear: Linearised, d: Disturbance, s: RemainderSettings) -> bool:
-    """Return whether a time history, or its size, goes with the motion or the inputs: noise does not know of what
-    moves, unmodelled dynamics answer it (the test of independence between residuals and past inputs, Ljung 1999,
-    section 16.6)."""
+    """Return whether a time history, or its size, goes with the motion or the inputs."""
+    if goes_with_motion(linear, d) > s.motion:
+        return True
     size = d.values**2 - np.mean(d.values**2)
-    return (
-        _goes_with_motion(linear, d) > s.motion
-        or _part_predicted(linear, d, d.values, _past_inputs) > s.predicted
-        or any(_part_predicted(linear, d, values, _products) > s.products for values in (d.values, size))
+    by_inputs, by_products = (
+        max(parts_predicted(linear, d, signals, values))
+        for signals, values in ((past_inputs, [d.values]), (products_of_motion, [d.values, size]))
     )
-
-
-def _in_a_tenth(values: _Array) -> float:
-    """Return the part of the squares that the largest tenth of the values has."""
-    squares = np.sort(values**2)[::-1]
-    return float(squares[: max(squares.size // 10, 1)].sum() / max(float(squares.sum()), 1e-300))
+    return by_inputs > s.predicted or by_products > s.products
 
 
 def _share(search: Search, at: Refit, of: Disturbance) -> float:
@@ -407,101 +400,3 @@ def _held_out(search: Search, option: _Option, d: Disturbance, other: Linearised
         linear = again.linear
         return disturbance_at(linear, d) - Whitened(linear, filter.on(linear.structure)).log_likelihood
     return by_filter
-
-
-# Neighbours in the motion that are asked, and the part of the record about a time that counts as the same pass.
-_NEIGHBOURS, _PASS = 5, 0.04
-# What is slow correlates with what is slow by chance: the history later or earlier, so many times, as a share of the
-# record; the quantile of its correlations that is to be exceeded; and a correlation that is none by chance (where the
-# motion is periodic, a history that goes with it does so with any phase).
-_SHIFTS, _CHANCE, _SURELY = 40, 0.95, 0.7
-# Of so few correlation times, as a history has in its records, chance is no excuse: it may be anything slow.
-_INDEPENDENT = 20.0
-
-
-def _over_records(linear: Linearised, of: Disturbance) -> list[tuple[Points, _Array]]:
-    """Return each record with the times of a time history in it."""
-    return list(zip(linear.points, np.split(of.knots, np.cumsum(of.counts)[:-1]), strict=True))
-
-
-def _goes_with_motion(linear: Linearised, of: Disturbance) -> float:
-    """Return the correlation of a time history with what it was when the fitted motion was nearly the same at another
-    time, 0 where it is so by chance: about 0 for gusts, which do not know of the path that the model simulates without
-    them."""
-    names = [*linear.model.state_names, *linear.model.declared_inputs]
-    each = _over_records(linear, of)
-    x = np.hstack([np.stack([np.interp(at, p.t, p.values[name]) for name in names]) for p, at in each])
-    spread = x.std(axis=1)
-    x = x[spread > 0.0] / spread[spread > 0.0, None]
-    where = np.repeat(np.arange(len(each)), of.counts)
-    distance = np.sum((x[:, :, None] - x[:, None, :]) ** 2, axis=0)
-    index = np.arange(of.knots.size)
-    same = (where[:, None] == where) & (np.abs(index[:, None] - index) < max(_PASS * index.size, 3.0))
-    distance[same] = np.inf
-    nearest = np.argsort(distance, axis=1)[:, :_NEIGHBOURS]
-
-    def correlation(values: _Array) -> float:
-        predicted = values[nearest].mean(axis=1)
-        spread = predicted.std() * values.std()
-        return float(np.cov(predicted, values, bias=True)[0, 1] / spread) if spread > 0.0 else 0.0
-
-    ends = np.cumsum(of.counts)[:-1]
-    shifted = [
-        np.concatenate([np.roll(v, round(share * v.size)) for v in np.split(of.values, ends)])
-        for share in np.linspace(0.1, 0.9, _SHIFTS)
-    ]
-    found = correlation(of.values)
-    if of.correlation * _INDEPENDENT > of.step * of.knots.size:
-        return found
-    chance = float(np.quantile([correlation(v) for v in shifted], _CHANCE))
-    return found if found > min(chance, _SURELY) else 0.0
-
-
-# Time constants of what inputs do later, from so many knots to a part of the record; blocks that are left out in turn,
-# and what is added to the diagonal, in parts of the variances: neighbouring lags are much alike.
-_LAGS, _QUICK, _SLOW, _BLOCKS, _RIDGES = 6, 1.0, 0.2, 8, (1e-3, 1e-2, 1e-1)
-
-
-_Signals = Callable[[Linearised, Disturbance, Points], list[_Array]]
-
-
-def _past_inputs(linear: Linearised, of: Disturbance, p: Points) -> list[_Array]:
-    """Return the inputs along a record, now and through lags of several time constants."""
-    duration = float(p.t[-1] - p.t[0])
-    taus = np.geomspace(_QUICK * of.step, max(_SLOW * duration, 2.0 * of.step), _LAGS)
-    names = _moving(linear, linear.model.declared_inputs)
-    return [z for n in names for z in (p.values[n], *(lagged(p.t, p.values[n], tau) for tau in taus))]
-
-
-def _products(linear: Linearised, of: Disturbance, p: Points) -> list[_Array]:
-    """Return states and inputs along a record, and their squares and products."""
-    names = _moving(linear, [*linear.model.state_names, *linear.model.declared_inputs])
-    every = {n: np.concatenate([q.values[n] for q in linear.points]) for n in names}
-    moving = [(p.values[n] - x.mean()) / x.std() for n, x in every.items()]
-    return [*moving, *(a * b for a, b in combinations_with_replacement(moving, 2))]
-
-
-def _moving(linear: Linearised, names: Iterable[str]) -> list[str]:
-    return [n for n in names if any(np.ptp(p.values[n]) > 0.0 for p in linear.points)]
-
-
-def _part_predicted(linear: Linearised, of: Disturbance, values: _Array, signals: _Signals) -> float:
-    """Return the part of the variance of values at the knots of a time history that signals predict in blocks of time
-    that are left out in turn, at least 0."""
-    columns, blocks = [], []
-    for p, at in _over_records(linear, of):
-        columns.append(np.stack([np.ones(at.size), *(np.interp(at, p.t, z) for z in signals(linear, of, p))]))
-        blocks.append(np.minimum((_BLOCKS * (at - p.t[0]) / (p.t[-1] - p.t[0])).astype(int), _BLOCKS - 1))
-    x, block, y = np.hstack(columns).T, np.concatenate(blocks), values
-    if x.shape[1] < 2 or y.size <= 2 * x.shape[1] or not y.any():
-        return 0.0
-    x /= np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-300)
-    least = float(y @ y)
-    for ridge in _RIDGES:
-        error = np.empty(y.size)
-        for b in range(_BLOCKS):
-            rest = block != b
-            normal = x[rest].T @ x[rest] + ridge * rest.sum() * np.eye(x.shape[1])
-            error[~rest] = y[~rest] - x[~rest] @ np.linalg.solve(normal, x[rest].T @ y[rest])
-        least = min(least, float(error @ error))
-    return 1.0 - least / float(y @ y)

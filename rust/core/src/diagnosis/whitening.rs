@@ -31,7 +31,7 @@ pub struct Whitening {
 }
 
 impl Whitening {
-    /// For each channel its model and its segments. Each mixing is L⁻¹ and rows, as many for each time.
+    /// Makes the whitening from the model and the segments of each channel. Each mixing is L⁻¹ and rows, as many for each time.
     pub fn new(channels: &[(Predictors, Segments)], mixings: Vec<(Vec<f64>, Vec<usize>)>) -> Self {
         let segments = channels.iter().flat_map(|(model, segments)| {
             let covariance = model.covariance();

@@ -171,6 +171,11 @@ impl Index<&str> for Fit {
 }
 
 impl Fit {
+    /// Sets the status, with what it says by default.
+    pub(super) fn end_as(&mut self, status: Status) {
+        (self.status, self.message) = (status, status.hint().into());
+    }
+
     /// A parameter or standard deviation by name.
     pub fn parameter(&self, name: &str) -> Option<&Estimate> {
         self.parameters.iter().find(|p| p.name == name)

@@ -55,8 +55,7 @@ impl Estimation<'_> {
             Err(e) if !fit.feasible || e.kind() == ErrorKind::Data => {}
             Err(e) => {
                 if fit.status.is_end() && self.follows_motion() && known {
-                    let status = Status::IterationLimit;
-                    (fit.status, fit.message) = (status, status.hint().into());
+                    fit.end_as(Status::IterationLimit);
                 }
                 fit.warnings.push(format!(
                     "the log-likelihood is that of the path on the mesh; whether the path is a solution is not known, since the \
@@ -70,8 +69,7 @@ impl Estimation<'_> {
             Ok(found) if (found - path).abs() <= DIFFERENT => {}
             Ok(found) => {
                 if fit.status.is_end() && self.follows_motion() && (found - path).abs() > WRONG {
-                    let status = Status::IterationLimit;
-                    (fit.status, fit.message) = (status, status.hint().into());
+                    fit.end_as(Status::IterationLimit);
                 }
                 fit.warnings.push(format!(
                     "the model integrated with these estimates has the log-likelihood {}, and not {} as the path on the mesh: the \

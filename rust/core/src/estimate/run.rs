@@ -72,11 +72,11 @@ impl Estimation<'_> {
         let few = fit.status == Status::IterationLimit && fit.iterations < self.solver.max_iterations;
         if few && current().cause() == Some(Cause::TimeLimit) {
             // The limit on the iterations was that of the rough fit: what kept it from going on was the time.
-            (fit.status, fit.message) = (Status::TimeLimit, Status::TimeLimit.hint().into());
+            fit.end_as(Status::TimeLimit);
         }
         if self.outside.cause() == Some(Cause::Stopped) && fit.status != Status::Interrupted {
             // Whoever called is to know.
-            (fit.status, fit.message) = (Status::Interrupted, Status::Interrupted.hint().into());
+            fit.end_as(Status::Interrupted);
         }
         Ok(fit)
     }

@@ -101,7 +101,7 @@ fn inputs_and_sensors_are_late() {
     assert_eq!(path.state("x").unwrap(), path.output("now").unwrap());
 }
 
-/// From a fit: its parameters, that of the experiment where each has its own, and its initial states.
+/// Returns the parameters of a fit, that of the experiment where each has its own, and its initial states.
 #[test]
 fn a_fit_is_simulated() {
     let model = lag();

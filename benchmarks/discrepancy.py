@@ -9,10 +9,14 @@ An effect is found where its name is the cause of a finding or among its aliases
     python benchmarks/discrepancy.py --n 200 --seed 0 --processes 2 --list
     python benchmarks/discrepancy.py --only 17
     python benchmarks/discrepancy.py --n 40 --leave-out --nothing 0 --doubles 0
+    python benchmarks/discrepancy.py --n 20 --rates
 
 With --leave-out the library lacks the families of candidates that a case's effects belong to: whatever is named then is
 not what was hidden. Where it explains as much of the held-out record in free simulation as what was hidden does, each
 within the interval of the other, it acts alike, and is counted apart.
+
+With --rates each case is diagnosed three times: with all samples of the outputs, with every second and every fourth;
+what is said should be the same.
 
 Draws depend on --systems, --strengths, --noise, --doubles and --nothing too: give them again with --only, or make the
 case by the call that --list prints. Writes nothing.
@@ -24,9 +28,10 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes share the cores
 
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from multiprocessing import get_context
 
-from discrepancy_scores import accuracy, costs, diagnosed, hidden, honesty, outside, recall, share
+from discrepancy_scores import accuracy, alike, at_rates, costs, diagnosed, hidden, honesty, outside, recall, share
 from rich.markup import escape
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 from tables import console, show
@@ -39,14 +44,14 @@ GROUPS = {
 }
 
 
-def outcomes(seeds, choice, processes, leave_out):
-    """Outcomes of the seeds, as they come."""
+def outcomes(seeds, processes, work):
+    """What ``work`` makes of each seed, as they come."""
     if processes == 1:
-        yield from (diagnosed(seed, choice, leave_out=leave_out) for seed in seeds)
+        yield from map(work, seeds)
         return
     # Fresh processes: threads of the numerical core do not live through a fork.
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as executor:
-        jobs = [executor.submit(diagnosed, seed, choice, None, leave_out) for seed in seeds]
+        jobs = [executor.submit(work, seed) for seed in seeds]
         try:
             for job in as_completed(jobs):
                 yield job.result()
@@ -55,23 +60,31 @@ def outcomes(seeds, choice, processes, leave_out):
             raise
 
 
-def run(n=200, seed=0, processes=2, only=(), listed=False, leave_out=False, **choice):
+def run(n=200, seed=0, processes=2, only=(), listed=False, leave_out=False, rates=False, **choice):
     """Measure and print."""
     seeds = list(only) or range(seed, seed + n)
-    done = []
+    work = partial(at_rates, choice=choice) if rates else partial(diagnosed, choice=choice, leave_out=leave_out)
+    groups = []
     columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     try:
         with Progress(*columns, "{task.fields[failed]} failed", console=console, transient=True) as progress:
             task = progress.add_task("cases", total=len(seeds), failed=0)
-            for outcome in outcomes(seeds, choice, processes, leave_out):
-                done.append(outcome)
-                progress.update(task, advance=1, failed=sum(o.failed for o in done))
-                if only:
+            for found in outcomes(seeds, processes, work):
+                groups.append(found if rates else (found,))
+                progress.update(task, advance=1, failed=sum(group[0].failed for group in groups))
+                for outcome in groups[-1] if only else ():
                     progress.console.print(escape(str(outcome)))
     except KeyboardInterrupt:
-        console.print(f"interrupted after {len(done)} of {len(seeds)} cases")
-    done.sort(key=lambda o: o.seed)
+        console.print(f"interrupted after {len(groups)} of {len(seeds)} cases")
+    groups.sort(key=lambda group: group[0].seed)
+    done = [group[0] for group in groups]
     report(done, leave_out)
+    made = [group for group in groups if not any(o.error for o in group)]
+    if rates and made:
+        show("The same at full, half and quarter rate", ["", "share"], alike(made))
+        different = [group for group in made if len({(o.verdict, str(o)) for o in group}) > 1]
+        for outcome in [o for group in different for o in group] if listed else ():
+            console.print(escape(f"{outcome.verdict}: {outcome}"), soft_wrap=True)
     if listed:
         failed = done if leave_out else [o for o in done if o.failed]
         console.print(f"{'All' if leave_out else 'Failed'}: {len(failed) or 'none'}")
@@ -122,11 +135,12 @@ def main():
     parser.add_argument("--no-validation", action="store_true", help="no second manoeuvre")
     parser.add_argument("--only", type=int, nargs="+", default=(), metavar="SEED", help="these cases")
     parser.add_argument("--list", action="store_true", help="print the failed cases")
+    parser.add_argument("--rates", action="store_true", help="at half and a quarter of the outputs' rate, too")
     parser.add_argument("--leave-out", action="store_true", help="the library has not what is hidden")
     a = parser.parse_args()
     choice = {"systems": a.systems, "strengths": a.strengths, "noises": a.noise}
     choice |= {"doubles": a.doubles, "empty": a.nothing, "validation": not a.no_validation}
-    run(a.n, a.seed, a.processes, a.only, a.list, a.leave_out, **choice)
+    run(a.n, a.seed, a.processes, a.only, a.list, a.leave_out, a.rates, **choice)
 
 
 if __name__ == "__main__":

@@ -20,6 +20,9 @@ NAMES = 4
 
 STATUSES = ("named", "surrogate")
 
+RATES = (1, 2, 4)
+"""Of the outputs one sample in so many is kept."""
+
 
 @dataclass(frozen=True)
 class Found:
@@ -92,9 +95,12 @@ class Outcome:
         return f"{self.seed}: {self.again}: {self.error or found}"
 
 
-def diagnosed(seed: int, choice: dict, diagnose: Callable | None = None, leave_out: bool = False) -> Outcome:
+def diagnosed(
+    seed: int, choice: dict, diagnose: Callable | None = None, leave_out: bool = False, every: int = 1
+) -> Outcome:
     """Makes the case of a seed, fits it and diagnoses it (by `ph.diagnose`); with ``leave_out`` without the families of
-    candidates that what is hidden belongs to."""
+    candidates that what is hidden belongs to. Of the outputs one sample in so many is kept, ``every``; the inputs stay,
+    for with fewer samples of theirs they would be other inputs."""
     import phugoid as ph
 
     begin = time.perf_counter()
@@ -105,10 +111,10 @@ def diagnosed(seed: int, choice: dict, diagnose: Callable | None = None, leave_o
     made = time.perf_counter()
     about = (seed, case.again(), case.system, case.noise, str(case.strength), case.kinds, case.coefficients)
     try:
-        fit = ph.estimate(case.model, case.data)
+        fit = ph.estimate(case.model, thinned(case.data, every))
         fitted = time.perf_counter()
         known = {"candidates": _without(case)} if leave_out else {}
-        d = (diagnose or ph.diagnose)(fit, validation=case.validation, **known)
+        d = (diagnose or ph.diagnose)(fit, validation=thinned(case.validation, every), **known)
         done = time.perf_counter()
     except Exception as error:
         text = str(error).strip().partition("\n")[0]
@@ -120,6 +126,23 @@ def diagnosed(seed: int, choice: dict, diagnose: Callable | None = None, leave_o
     equal = leave_out and d.verdict == "named" and explains_as_much(case, fit, d.extend().fit)
     times = {"time": done - fitted, "fit_time": fitted - made, "make_time": made - begin}
     return Outcome(*about, found, verdict=d.verdict, equal=equal, **times)
+
+
+def at_rates(seed: int, choice: dict) -> tuple[Outcome, ...]:
+    """The case of a seed, diagnosed with each sample of the outputs, every second and every fourth."""
+    return tuple(diagnosed(seed, choice, every=k) for k in RATES)
+
+
+def thinned(record: Any, every: int) -> Any:
+    """Return a record, a sequence of records or None with one sample in so many of the outputs."""
+    import phugoid as ph
+
+    if record is None or every == 1:
+        return record
+    if not isinstance(record, ph.Experiment):
+        return [thinned(one, every) for one in record]
+    kept = np.arange(record.t.size) % every == 0
+    return record.with_channels({n: np.where(kept, record.output(n), np.nan) for n in record.outputs})
 
 
 def explains_as_much(case: hidden.Case, fit: Any, named: Any) -> bool:
@@ -180,6 +203,23 @@ def outside(outcomes: Iterable[Outcome], by: Callable[[Outcome, str], str]) -> l
         ends = c["equal"], c["named"], c["unexplained"], little, c["nothing"]
         rows.append([group, str(n), *(share(k, n) for k in ends)])
     return rows
+
+
+def alike(groups: Iterable[tuple[Outcome, ...]]) -> list[list[str]]:
+    """Rows: what is the same at all rates, and in what share of the cases: the verdict; the causes that are named; and
+    these, or one of their aliases."""
+    counts: Counter = Counter()
+    for group in groups:
+        named = [[f.names for f in o.found if f.status == "named"] for o in group]
+        counts["cases"] += 1
+        counts["verdict"] += len({o.verdict for o in group}) == 1
+        counts["causes"] += len({frozenset(names[0] for names in each) for each in named}) == 1
+        first, *others = named
+        counts["aliases"] += all(
+            len(first) == len(each) and all(any({*a} & {*b} for b in each) for a in first) for each in others
+        )
+    words = {"verdict": "verdict", "causes": "named causes", "aliases": "named causes or their aliases"}
+    return [[word, share(counts[key], counts["cases"])] for key, word in words.items()]
 
 
 def share(part: int, whole: int) -> str:

@@ -6,8 +6,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import discrepancy_scores as scores
+import numpy as np
 import pytest
 from discrepancy_scores import Found, Outcome
+
+import phugoid as ph
 
 
 def outcome(truth: dict[str, str], *found: Found, **about: Any) -> Outcome:
@@ -48,6 +51,29 @@ def test_claims_of_what_is_not_there() -> None:
     assert rows["  of claims 'surrogate'"] == "0.000  (0 of 1)"
     assert rows["  nothing said at all"] == "0.333  (1 of 3)"
     assert rows["'unexplained' said, of cases"] == "0.125  (1 of 8)"
+
+
+def test_rates_are_alike_in_verdict_causes_and_aliases() -> None:
+    def at(verdict: str, *found: Found) -> Outcome:
+        return outcome(FRICTION, *found, verdict=verdict)
+
+    same = (at("named", RIGHT), at("named", RIGHT), at("named", RIGHT))
+    alias = (at("named", RIGHT), at("named", Found(("f:v|v|", "f:sign(v)"), "named", 1.0, (0.0, 2.0))))
+    other = (at("named", RIGHT), at("named", WRONG), at("nothing"))
+    rows = dict(map(tuple, scores.alike([same, alias, other, other])))
+    assert rows == {
+        "verdict": "0.500  (2 of 4)",
+        "named causes": "0.250  (1 of 4)",
+        "named causes or their aliases": "0.500  (2 of 4)",
+    }
+
+
+def test_thinned_records_keep_their_inputs_and_every_second_output() -> None:
+    run = ph.Experiment(np.arange(5.0), {"u": np.arange(5.0)}, {"y": np.arange(5.0)})
+    one = scores.thinned([run], 2)[0]
+    np.testing.assert_array_equal(one.output("y"), [0.0, np.nan, 2.0, np.nan, 4.0])
+    np.testing.assert_array_equal(one.input("u"), run.input("u"))
+    assert scores.thinned(run, 1) is run and scores.thinned(None, 2) is None
 
 
 def test_coefficients_count_where_the_effect_is_named_first() -> None:

@@ -194,6 +194,8 @@ def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[
     as their noise is their own. With process noise they are the innovations, which two sensors of a state that was
     wrongly predicted may share: there, only proportional ones are reported.
     """
+    if not _some_are_correlated(records, outputs):  # nearly always, and quickly seen
+        return []
     residuals = {name: _joined(r.innovations.get(name, r.residuals[name]) for r in records) for name in outputs}
     measured = {name: _joined(r.measured[name] for r in records) for name in outputs}
     known = [name for name in outputs if _size(residuals[name]) > _EXACT * _size(measured[name])]
@@ -222,6 +224,20 @@ def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[
             f"where nothing else is measured: leave {'one' if len(members) == 2 else 'all but one'} out of the outputs"
         )
     return found
+
+
+def _some_are_correlated(records: Sequence[Record], outputs: Sequence[str]) -> bool:
+    """Return whether residuals of any two outputs may be as closely correlated as those of repeated ones; True where
+    some samples are missing, which takes longer to see."""
+    parts = [np.array([r.innovations.get(name, r.residuals[name]) for name in outputs]) for r in records]
+    all_of = np.concatenate([p - p.mean(axis=1, keepdims=True) for p in parts], axis=1)
+    products = all_of @ all_of.T
+    if not np.isfinite(products).all():
+        return True
+    size = np.sqrt(np.diag(products))
+    least = min(_SAME, 1 - 2 * _OWN**2)
+    close = np.abs(products) > (least - 1e-6) * np.outer(size, size)
+    return bool(np.triu(close, 1).any())
 
 
 def _centred(values: _Array) -> _Array:

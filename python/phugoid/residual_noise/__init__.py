@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -59,7 +60,7 @@ class UniformSegment:
         """Number of grid points, up to the last sample."""
         return int(self.places[-1]) + 1 if self.places.size else 0
 
-    @property
+    @cached_property
     def runs(self) -> list[slice]:
         """Samples without a gap between them, counted from the first."""
         breaks = np.flatnonzero(np.diff(self.places) > 1) + 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -249,29 +249,12 @@ class Linearised:
     @cached_property
     def structure(self) -> RowStructure:
         """Which rows belong to one segment, and which to one time."""
-        segments = [[s.from_row(r.start) for r in line for s in uniform_segments(self.times[r])] for line in self.rows]
         # What a late sensor measured together with others it measured at their time, not at its own.
         measured = np.concatenate(
             [e.t[np.isfinite(e.output(name))] for name in self.model.output_names for e in dataset(self.fit)]
         )[self.measured_rows]
-        groups: dict[tuple[int, ...], list[_Indices]] = {}
-        complete: list[_Indices] = []
-        for e in range(len(self.experiments)):
-            lines = [line[e] for line in self.rows]
-            times = np.unique(np.concatenate([measured[rows] for rows in lines]))
-            table = np.full((times.size, len(lines)), -1)
-            for i, rows in enumerate(lines):
-                table[np.searchsorted(times, measured[rows]), i] = np.arange(rows.start, rows.stop)
-            whole = np.flatnonzero((table >= 0).all(axis=1))
-            for segment in uniform_segments(times[whole]):
-                complete += [table[whole[segment.rows][run]] for run in segment.runs]
-            patterns, which = np.unique(table >= 0, axis=0, return_inverse=True)
-            for k, pattern in enumerate(patterns):
-                there = np.flatnonzero(pattern)
-                some = table[which.ravel() == k]
-                groups.setdefault(tuple(there.tolist()), []).append(some[:, there])
-        together = [(outputs, np.vstack(at)) for outputs, at in groups.items()]
-        return RowStructure(segments, together, complete)
+        ends = tuple(tuple((r.start, r.stop) for r in line) for line in self.rows)
+        return _structure(self.times.tobytes(), measured.tobytes(), ends)
 
     def over_time(self, rows: _Array) -> list[_Array]:
         """Return the sums of rows (n_rows,) of the same time, in the order of time, for each experiment."""
@@ -437,3 +420,32 @@ def _signals(candidate: AddedTerm, shape: Mapping[str, float], points: Points) -
     """Return the signals of a candidate along the path, (k, points), within the limit in force."""
     check_time()
     return candidate.signals(points, shape)
+
+@lru_cache(maxsize=8)  # all refits to the same records have the same
+def _structure(times_bytes: bytes, measured_bytes: bytes, ends: tuple[tuple[tuple[int, int], ...], ...]) -> RowStructure:
+    """Return which rows belong to one segment, and which to one time.
+
+    The bytes are those of the times (n_rows,) of the rows and of when they were measured; ``ends`` the first row and
+    the one after the last of each output in each experiment.
+    """
+    times, measured = np.frombuffer(times_bytes), np.frombuffer(measured_bytes)
+    rows = [[slice(*r) for r in line] for line in ends]
+    segments = [[s.from_row(r.start) for r in line for s in uniform_segments(times[r])] for line in rows]
+    groups: dict[tuple[int, ...], list[_Indices]] = {}
+    complete: list[_Indices] = []
+    for e in range(len(rows[0])):
+        lines = [line[e] for line in rows]
+        instants = np.unique(np.concatenate([measured[r] for r in lines]))
+        table = np.full((instants.size, len(lines)), -1)
+        for i, r in enumerate(lines):
+            table[np.searchsorted(instants, measured[r]), i] = np.arange(r.start, r.stop)
+        whole = np.flatnonzero((table >= 0).all(axis=1))
+        for segment in uniform_segments(instants[whole]):
+            complete += [table[whole[segment.rows][run]] for run in segment.runs]
+        patterns, which = np.unique(table >= 0, axis=0, return_inverse=True)
+        for k, pattern in enumerate(patterns):
+            there = np.flatnonzero(pattern)
+            some = table[which.ravel() == k]
+            groups.setdefault(tuple(there.tolist()), []).append(some[:, there])
+    together = [(outputs, np.vstack(at)) for outputs, at in groups.items()]
+    return RowStructure(segments, together, complete)

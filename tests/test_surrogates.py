@@ -160,7 +160,7 @@ def test_a_random_disturbance_beside_a_surrogate_is_not_told() -> None:
 def test_a_likelier_function_takes_the_place_of_a_named_term() -> None:
     search, result = named(CUBE, "v':x^3")
     (found,) = result.found
-    of = replace(histories_at(search.cache.base, Place("equation", "v"))[0], kind="function", variable="x")
+    of = replace(histories_at(search.cache.base, Place("equation", "v"))[0], kind="function", variables=("x",))
     assert found.explained is not None and found.explained.interval[0] > SurrogateSettings.sure
     part = replace(found, explained=replace(found.explained, part=0.7, interval=(0.6, 0.8)))
     # Not of one that explains nearly all of the misfit beyond doubt.

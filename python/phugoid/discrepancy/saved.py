@@ -97,7 +97,10 @@ _READ: Mapping[str, Callable[[Any], Any]] = {
     "explained_interval": _pair,
     "explained_another": _pair,
     "ringing": lambda each: tuple(map(io.to_float, each)),
-    "curve": lambda each: {name: tuple(map(io.to_float, values)) for name, values in each.items()},
+    **dict.fromkeys(
+        ("curve", "surface"),
+        lambda each: {name: tuple(map(io.to_float, values)) for name, values in each.items()},
+    ),
     "parameters": lambda each: {name: _pair(pair) for name, pair in each.items()},
     "units": lambda each: dict(zip(each, _texts(each.values()), strict=True)),
     **dict.fromkeys(

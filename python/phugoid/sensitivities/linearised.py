@@ -421,14 +421,15 @@ def _signals(candidate: AddedTerm, shape: Mapping[str, float], points: Points) -
     check_time()
     return candidate.signals(points, shape)
 
+
 @lru_cache(maxsize=8)  # all refits to the same records have the same
-def _structure(times_bytes: bytes, measured_bytes: bytes, ends: tuple[tuple[tuple[int, int], ...], ...]) -> RowStructure:
+def _structure(own: bytes, clock: bytes, ends: tuple[tuple[tuple[int, int], ...], ...]) -> RowStructure:
     """Return which rows belong to one segment, and which to one time.
 
-    The bytes are those of the times (n_rows,) of the rows and of when they were measured; ``ends`` the first row and
-    the one after the last of each output in each experiment.
+    The bytes are those of the times (n_rows,) of the rows, and of when they were measured; ``ends`` are the first row
+    and the one after the last of each output in each experiment.
     """
-    times, measured = np.frombuffer(times_bytes), np.frombuffer(measured_bytes)
+    times, measured = np.frombuffer(own), np.frombuffer(clock)
     rows = [[slice(*r) for r in line] for line in ends]
     segments = [[s.from_row(r.start) for r in line for s in uniform_segments(times[r])] for line in rows]
     groups: dict[tuple[int, ...], list[_Indices]] = {}

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._core import Expr, lagged
+from ...errors import joined
 from ...functions import Table, cos, exp, sin, smooth_abs, smooth_sign, sqrt
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
@@ -242,20 +243,29 @@ class Term(Effect):
         return {self.coefficients[0]: (-largest, largest)}
 
 
-def tabulated(place: Place, variable: str, nodes: _Array, values: _Array, scales: Scales) -> Term:
-    """Return a function of one variable by its values at equally spaced nodes, joined by a cubic spline.
+def tabulated(place: Place, variables: Sequence[str], axes: Sequence[_Array], values: _Array, scales: Scales) -> Term:
+    """Return a function of one or two variables by its values at equally spaced nodes, of as many dimensions as there
+    are ``axes``, joined by a cubic spline.
 
-    Beyond them it goes on with its mean slope, which is what it makes up for in a linear term of the model.
+    Beyond them it goes on with its mean slopes, which is what it makes up for in linear terms of the model.
     """
-    name = f"{where(place)}:f({variable})"
-    label = "".join(c if c.isalnum() else "_" for c in f"{place.name}_f_{variable}")
-    h = float(nodes[1] - nodes[0])
-    beyond, slope = h * np.arange(1, _BEYOND + 1), float(np.polyfit(nodes, values, 1)[0])
-    wider = np.r_[nodes[0] - beyond[::-1], nodes, nodes[-1] + beyond]
-    going_on = np.r_[values[0] - slope * beyond[::-1], values, values[-1] + slope * beyond]
-    curve = Table(label, wider, going_on)(Expr.symbol(variable))
-    words = f"{where(place)} has a part that is a smooth function of {variable}"
-    return Term(name, place, words, "function", scales, (label,), variables=(variable,), given=Expr(curve))
+    name = f"{where(place)}:f({', '.join(variables)})"
+    label = "".join(c if c.isalnum() else "_" for c in f"{place.name}_f_{'_'.join(variables)}")
+    mesh = np.meshgrid(*axes, indexing="ij")
+    plane = np.column_stack([np.ones(values.size), *(each.ravel() for each in mesh)])
+    slopes = np.linalg.lstsq(plane, values.ravel(), rcond=None)[0][1:]
+    wider, going_on = [], values
+    for k, (nodes, slope) in enumerate(zip(axes, slopes.tolist(), strict=True)):
+        beyond = float(nodes[1] - nodes[0]) * np.arange(1, _BEYOND + 1)
+        axis = np.r_[nodes[0] - beyond[::-1], nodes, nodes[-1] + beyond]
+        more = slope * (axis - np.clip(axis, nodes[0], nodes[-1]))
+        going_on = np.pad(going_on, [(_BEYOND, _BEYOND) if i == k else (0, 0) for i in range(len(axes))], mode="edge")
+        going_on = going_on + more.reshape([-1 if i == k else 1 for i in range(len(axes))])
+        wider.append(axis)
+    table = Table(label, wider if len(wider) > 1 else wider[0], going_on)
+    curve = table(*(Expr.symbol(name) for name in variables))
+    words = f"{where(place)} has a part that is a smooth function of {joined([*variables])}"
+    return Term(name, place, words, "function", scales, (label,), variables=tuple(variables), given=Expr(curve))
 
 
 def _less(x: Expr, centre: float) -> Expr:

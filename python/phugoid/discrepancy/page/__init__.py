@@ -205,7 +205,7 @@ def finding_lines(finding: Finding) -> list[str]:
         ]
         doubted = "is not proved" if finding.ringing else "does not predict held-out data"
         told = "The data do not distinguish it from" if finding.cause else f"What fits, but {doubted}"
-        if finding.curve and not finding.cause:
+        if (finding.curve or finding.surface) and not finding.cause:
             told = "Name of this candidate"
         lines.append(f"{told}: {', '.join(others)}.")
     if finding.advice:
@@ -379,7 +379,7 @@ def _cause(finding: Finding, time: TimeUnit) -> dict[str, Any]:
         "status": finding.status,
         "lines": finding_lines(finding),
         "alternatives": PageTable(["candidate", "gain in log-likelihood"], rows, "lr"),
-        "curve": picture(*(curve_figure(finding, time, width)[0] for width in WIDTHS)) if finding.curve else None,
+        "curve": picture(*(curve_figure(finding, time, width)[0] for width in WIDTHS)) if finding.is_drawn else None,
     }
 
 

@@ -30,6 +30,8 @@ __all__ = [
 ]
 
 _BARS = 12
+# Height of the picture in those of the bars that show how many samples there are; area of the largest dot, points².
+_BARS_BENEATH, _DOT = 4.0, 30.0
 
 
 def diagnosis_figure(diagnosis: DiagnosisResult) -> tuple[Figure, dict[str, Axes]]:
@@ -47,7 +49,7 @@ def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
     if any(np.isfinite(f.explained) for f in diagnosis.findings):
         figures.append(explained_figure(diagnosis.findings)[0])
     figures.append(diagnosis.misfit.plot()[0])
-    figures += [curve_figure(f, diagnosis.fit.model.time_unit)[0] for f in diagnosis.findings if f.curve]
+    figures += [curve_figure(f, diagnosis.fit.model.time_unit)[0] for f in diagnosis.findings if f.is_drawn]
     if diagnosis.ranking:
         figures.append(ranking_figure(diagnosis.ranking, diagnosis.threshold)[0])
     extension = diagnosis._extension
@@ -128,28 +130,58 @@ def explained_figure(findings: Sequence[Finding], width: float = WIDTH) -> tuple
 
 
 def curve_figure(finding: Finding, time: TimeUnit = SECONDS, width: float = WIDTH) -> tuple[Figure, dict[str, Axes]]:
-    """Return what a disturbance or an unknown function adds to its place, with a band of 95 %, over time or over its
-    variable.
+    """Return what a disturbance or an unknown function adds to its place: with a band of 95 % over time or over its
+    variable, or over its two variables, where there are samples. Grey bars or dots show how many samples there are.
 
     Returns the figure and the axes by ``"curve"``. Raises DataError for a finding without a curve.
     """
-    if not finding.curve:
+    if not finding.is_drawn:
         raise DataError("curve_figure: the finding has no curve: it is neither a disturbance nor an unknown function")
     name = finding.cause or next(iter(finding.aliases), "")
     where, _, what = name.partition(":")
-    at, value, error = (np.array(finding.curve[key]) for key in ("at", "value", "error"))
+    of = what[2:-1].split(", ") if what.startswith("f(") else []
+    added = f"added to {plain(where)}" if where else "missing term"
+    with styled() as plt:
+        figure, axes = plt.subplots(figsize=(width, 3.0 if finding.surface else 2.0), layout="constrained")
+        if finding.surface:
+            _draw_surface(figure, axes, finding.surface, added)
+        else:
+            _draw_curve(axes, finding.curve)
+            axes.set_ylabel(added)
+        axes.set_xlabel(plain(of[0]) if of else time.axis())
+        if len(of) > 1:
+            axes.set_ylabel(plain(of[1]))
+    return figure, Panels({"curve": axes})
+
+
+def _draw_curve(axes: Axes, curve: Mapping[str, Sequence[float]]) -> None:
+    at, value, error = (np.array(curve[key]) for key in ("at", "value", "error"))
     # Knots of several records stand one after the other.
     pieces = np.split(np.arange(at.size), np.flatnonzero(np.diff(at) <= 0.0) + 1)
-    with styled() as plt:
-        figure, axes = plt.subplots(figsize=(width, 2.0), layout="constrained")
-        for piece in pieces:
-            low, high = value[piece] - _NORMAL * error[piece], value[piece] + _NORMAL * error[piece]
-            axes.fill_between(at[piece], low, high, color=MODEL, alpha=0.2, linewidth=0.0)
-            axes.plot(at[piece], value[piece], color=MODEL, linewidth=1.2)
-        axes.axhline(0.0, color=INPUT, linewidth=0.6)
-        axes.set_xlabel(plain(what[2:-1]) if what.startswith("f(") else time.axis())
-        axes.set_ylabel(f"added to {plain(where)}" if where else "missing term")
-    return figure, Panels({"curve": axes})
+    for piece in pieces:
+        low, high = value[piece] - _NORMAL * error[piece], value[piece] + _NORMAL * error[piece]
+        axes.fill_between(at[piece], low, high, color=MODEL, alpha=0.2, linewidth=0.0)
+        axes.plot(at[piece], value[piece], color=MODEL, linewidth=1.2)
+    axes.axhline(0.0, color=INPUT, linewidth=0.6)
+    if "samples" in curve:
+        samples = np.array(curve["samples"])
+        density = axes.twinx()
+        density.bar(at, samples, width=at[1] - at[0], color=GREY, alpha=0.35)
+        density.set_ylim(0.0, _BARS_BENEATH * max(float(samples.max()), 1.0))
+        density.set_axis_off()
+        axes.set_zorder(density.get_zorder() + 1)
+        axes.patch.set_visible(False)
+
+
+def _draw_surface(figure: Figure, axes: Axes, surface: Mapping[str, Sequence[float]], added: str) -> None:
+    first, second = (np.array(surface[key]) for key in ("first", "second"))
+    value, samples = (np.array(surface[key]).reshape(first.size, second.size) for key in ("value", "samples"))
+    there = np.ma.masked_where(samples == 0, value)
+    largest = float(np.abs(there).max()) or 1.0
+    drawn = axes.pcolormesh(first, second, there.T, cmap="RdBu_r", vmin=-largest, vmax=largest, shading="nearest")
+    x, y = np.meshgrid(first, second, indexing="ij")
+    axes.scatter(x, y, s=_DOT * samples / max(float(samples.max()), 1.0), color=GREY, linewidth=0.0)
+    figure.colorbar(drawn, ax=axes, label=added)
 
 
 def findings_figure(

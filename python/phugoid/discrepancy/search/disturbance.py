@@ -1,5 +1,5 @@
 """Causes that are not terms of the model: a random disturbance, a noisy input, a single event, or an unknown function
-of one variable.
+of one variable or two.
 
 Each is a random time history at one place of the model, or a random function there, with a marginal likelihood about a
 fit (`RandomEffects`); with white process noise that is the likelihood of the filter-error method, linearised. These
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -32,6 +33,8 @@ __all__ = [
     "disturbance_at",
     "functions",
     "functions_of",
+    "functions_of_two",
+    "hats",
     "histories_at",
     "likeliest_function",
     "noises_of",
@@ -51,6 +54,7 @@ _CORRELATION = (0.0, 3.0, 12.0)
 # Parts of the range of a variable over which a function of it bends, the first for all variables, the others for the
 # likeliest; and nodes in each.
 BENDS, _NODES = (0.25, 0.1, 0.04), 2.5
+_BENDS_OF_TWO = 0.25, 0.15
 _FEW_LEVELS = 3
 # Part of the squares of a time history that an event holds, within this part of the time.
 _EVENT, _SHORT = 0.7, 0.2
@@ -68,19 +72,20 @@ class Disturbance:
     kind        "noise": a stationary random time history; "event": one that is zero but for a span; "function": a
                 smooth function of a variable, the same wherever the variable has a value again.
     place       what it is added to.
-    variable    that a function depends on; "" else.
+    variables   that a function depends on, one or two; else empty.
     merit       log-likelihood less the number of its parameters (Akaike).
     marginal    where that is.
     correlation s, correlation time of a disturbance; 0 for white.
     span        (record, begin, end) of an event, s.
-    knots       (k,) values of time, records one after the other, or nodes of the variable.
+    knots       (k,) values of time, records one after the other, or nodes of one variable.
+    axes        nodes of each variable of a function; of two there are as many values as products of nodes.
     step        s, between knots.
     counts      knots of each record, of a random time history.
     """
 
     kind: _Kind
     place: Place
-    variable: str
+    variables: tuple[str, ...]
     merit: float
     marginal: Marginal
     correlation: float
@@ -88,12 +93,13 @@ class Disturbance:
     knots: _Array
     step: float
     counts: tuple[int, ...] = ()
+    axes: tuple[_Array, ...] = ()
 
     @property
     def name(self) -> str:
         """Canonical, ``where:what``."""
         where = f"{self.place.name}'" if self.place.kind in ("equation", "state") else self.place.name
-        return f"{where}:f({self.variable})" if self.kind == "function" else f"{where}:{self.kind}"
+        return f"{where}:f({', '.join(self.variables)})" if self.kind == "function" else f"{where}:{self.kind}"
 
     @property
     def intensity(self) -> float:
@@ -107,6 +113,20 @@ class Disturbance:
     def values(self) -> _Array:
         """(k,) what is added to the place at the knots, in its unit."""
         return self.marginal.coefficients
+
+    def marginal_on(self, axes: Sequence[_Array]) -> Marginal:
+        """Return the values and deviations of a function at other nodes, between its own by broken lines."""
+
+        def on_axes(found: _Array) -> _Array:
+            found = found.reshape([nodes.size for nodes in self.axes])
+            for k, (old, new) in enumerate(zip(self.axes, axes, strict=True)):
+                lines = np.moveaxis(found, k, 0).reshape(old.size, -1)
+                moved = np.stack([np.interp(new, old, line) for line in lines.T], axis=1)
+                found = np.moveaxis(moved.reshape(new.size, *np.delete(found.shape, k)), 0, k)
+            return found.ravel()
+
+        m = self.marginal
+        return replace(m, coefficients=on_axes(m.coefficients), deviations=on_axes(m.deviations))
 
 
 class Disturbances:
@@ -170,9 +190,16 @@ def functions_of(at: Refit, known: Collection[str], only: Sequence[str] = ()) ->
     variables = [n for n in (*model.state_names, *model.declared_inputs) if n in known and (not only or n in only)]
     places = [p for p in at.linear.places if p.kind in ("equation", "quantity") and p.name in known]
     places.sort(key=lambda p: (p.kind, p.name))
-    found = sorted((h for p in places for h in functions(at, p, variables)), key=lambda h: -h.merit)
-    quicker = [h for best in found[:_LIKELY] for h in functions(at, best.place, [best.variable], BENDS[1:])]
+    found = sorted((h for p in places for h in functions(at, p, [(n,) for n in variables])), key=lambda h: -h.merit)
+    quicker = [h for best in found[:_LIKELY] for h in functions(at, best.place, [best.variables], BENDS[1:])]
     return [*found, *quicker]
+
+
+def functions_of_two(at: Refit, known: Collection[str], places: Sequence[Place]) -> list[Disturbance]:
+    """Return random functions of two states or inputs each, of those that are known, at some places."""
+    model = at.linear.model
+    variables = [n for n in (*model.state_names, *model.declared_inputs) if n in known]
+    return [h for p in places for h in functions(at, p, [*combinations(variables, 2)])]
 
 
 def _histories(
@@ -203,7 +230,7 @@ def _histories(
         marginal = effects.with_correlation(_exponential(knots, tau)).maximised(noise, variance)
         merit = marginal.log_likelihood - (2.0 if tau else 1.0)
         counts = tuple(k.size for k in knots)
-        found.append(Disturbance("noise", place, "", merit, marginal, tau * step, None, flat, step, counts))
+        found.append(Disturbance("noise", place, (), merit, marginal, tau * step, None, flat, step, counts))
     return sorted(found, key=lambda h: -h.merit)
 
 
@@ -244,7 +271,7 @@ def _event(linear: Linearised, of: Disturbance, noise: _Array) -> Disturbance | 
         merit = marginal.log_likelihood - 3.0
         span = record, float(local[1]), float(local[-2])
         step = float(local[1] - local[0])
-        found.append(Disturbance("event", of.place, "", merit, marginal, 0.0, span, local[1:-1], step))
+        found.append(Disturbance("event", of.place, (), merit, marginal, 0.0, span, local[1:-1], step))
     return max(found, key=lambda h: h.merit)
 
 
@@ -256,40 +283,69 @@ def _between_samples(linear: Linearised, record: int, begin: float, end: float) 
 
 
 def functions(
-    at: Refit, place: Place, variables: Sequence[str], bends: Sequence[float] = BENDS[:1]
+    at: Refit,
+    place: Place,
+    over: Sequence[tuple[str, ...]],
+    bends: Sequence[float] = BENDS[:1],
+    white: bool = False,
 ) -> list[Disturbance]:
-    """Smooth random functions of variables at a place, beside noise that is white or has the autocorrelation of the
-    residuals of the refit: whichever is likelier with it."""
+    """Smooth random functions of one variable each or of two at a place, beside noise that is white or, unless only
+    ``white`` noise is asked for, has the autocorrelation of the residuals of the refit."""
     linear = at.linear
-    noises = noises_of(at)
+    noises = noises_of(at)[: 1 if white else None]
     found = []
-    for variable in variables:
+    for names in over:
         check_time()
-        columns = [p.values[variable] for p in linear.points]
-        low, high = min(float(c.min()) for c in columns), max(float(c.max()) for c in columns)
-        if not high - low > 1e-9 * max(abs(low), abs(high)):
-            continue
-        # Any function of two levels, as a relay has, is a constant and a linear part; three determine little more.
-        if 0 < levels_of(np.concatenate(columns)) <= _FEW_LEVELS:
-            continue
         for bend in bends:
-            nodes = np.linspace(low, high, round(_NODES / bend) + 1)
-            answers = linear.answers(place, [at_knots(c, nodes) for c in columns])
+            axes = tuple(_axis(linear.points, name, bend) for name in names)
+            if not all(nodes.size for nodes in axes):
+                break
+            answers = linear.answers(place, [hats([p.values[n] for n in names], axes) for p in linear.points])
             if not np.any(answers):
                 continue
-            index = np.arange(nodes.size)
-            correlation = np.exp(-0.5 * ((index[:, None] - index) / _NODES) ** 2)
+            correlation: _Array = np.ones((1, 1))
+            for nodes in axes:
+                correlation = np.asarray(np.kron(correlation, _smooth(nodes.size)), dtype=np.float64)
             for filter, noise, cost in noises:
                 marginal = RandomEffects(linear, answers, filter).with_correlation(correlation).maximised(noise)
                 merit = marginal.log_likelihood - 2.0 - cost
-                found.append(Disturbance("function", place, variable, merit, marginal, 0.0, None, nodes, 0.0))
+                knots = axes[0] if len(axes) == 1 else np.empty(0)
+                found.append(Disturbance("function", place, names, merit, marginal, 0.0, None, knots, 0.0, axes=axes))
     return found
 
 
-def likeliest_function(at: Refit, place: Place, variable: str) -> Disturbance | None:
-    """Return the likeliest smooth function of a variable at a place, however quickly it bends; None where the variable
-    has too few values, or nothing is seen of the place."""
-    return max(functions(at, place, [variable], BENDS), key=lambda h: h.merit, default=None)
+def _axis(points: Sequence[Points], variable: str, bend: float) -> _Array:
+    """Return nodes of a variable over its range, as many as a function that bends over a part of it needs; none where
+    the variable has too few values."""
+    values = np.concatenate([p.values[variable] for p in points])
+    low, high = float(values.min()), float(values.max())
+    # Any function of two levels, as a relay has, is a constant and a linear part; three determine little more.
+    if not high - low > 1e-9 * max(abs(low), abs(high)) or 0 < levels_of(values) <= _FEW_LEVELS:
+        return np.empty(0)
+    return np.linspace(low, high, round(_NODES / bend) + 1)
+
+
+def hats(values: Sequence[_Array], axes: Sequence[_Array]) -> _Array:
+    """Return the functions (k, n) that are 1 at one node and 0 at the others, and in between linear in each variable,
+    along n values of each."""
+    first, *others = (at_knots(each, nodes) for each, nodes in zip(values, axes, strict=True))
+    for other in others:
+        first = (first[:, None] * other).reshape(-1, other.shape[1])
+    return first
+
+
+def _smooth(size: int) -> _Array:
+    """Return the correlation (size, size) of values of a smooth function at equally spaced nodes."""
+    index = np.arange(size)
+    return np.asarray(np.exp(-0.5 * ((index[:, None] - index) / _NODES) ** 2))
+
+
+def likeliest_function(at: Refit, place: Place, variables: tuple[str, ...], white: bool = False) -> Disturbance | None:
+    """Return the likeliest smooth function of one variable at a place, however quickly it bends, or of two, beside
+    noise of either kind, or ``white`` noise; None where a variable has too few values, or nothing is seen of the
+    place."""
+    bends = BENDS if len(variables) == 1 else _BENDS_OF_TWO
+    return max(functions(at, place, [variables], bends, white), key=lambda h: h.merit, default=None)
 
 
 def noises_of(at: Refit) -> list[tuple[Filter | None, _Array, int]]:

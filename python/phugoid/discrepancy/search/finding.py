@@ -95,7 +95,11 @@ class Finding:
     explained_outputs    output -> by how much its mean square falls, in parts of that of the model diagnosed.
     alternatives_explained   candidate -> part of the misfit that it would explain in place of the cause.
     curve          of a disturbance or an unknown function: what is added to its place, ``"value"``, with standard
-                   deviations, ``"error"``, at times (s) or values of the variable, ``"at"``; all (k,). Else empty.
+                   deviations, ``"error"``, at times (s) or values of the variable, ``"at"``; of a function the number
+                   of samples nearest to each value, ``"samples"``, too; all (k,). Else empty.
+    surface        the same of an unknown function of two variables: ``"value"``, ``"error"`` and ``"samples"``,
+                   (k m,), at values ``"first"`` (k,) of the first and ``"second"`` (m,) of the second, which varies
+                   quickest. Else empty.
     """
 
     cause: str
@@ -121,9 +125,15 @@ class Finding:
     explained_outputs: Mapping[str, float] = field(default_factory=dict)
     alternatives_explained: Mapping[str, float] = field(default_factory=dict)
     curve: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    surface: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     rivals = Renamed("alternatives")
     rivals_explained = Renamed("alternatives_explained")
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether there is a curve or a surface to draw."""
+        return bool(self.curve or self.surface)
 
     def cells(self) -> dict[str, str]:
         """Return what tables in notebooks show of it: a short text by heading, "" where there is none."""

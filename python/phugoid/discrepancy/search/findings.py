@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import joined
 from ...fit_result import FitResult
@@ -18,7 +19,6 @@ from ..candidates.terms import where
 from ..misfit.phrases import number, percent
 from . import SearchResult
 from .confirmation import Found
-from .disturbance import Disturbance
 from .evidence import is_plausible
 from .finding import DiagnosisResult, ExtensionResult, Finding, Gain
 from .free_run import Explained
@@ -176,12 +176,28 @@ def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Find
         alternatives=dict(r.rivals),
         units={label: unit} if named and d.kind == "noise" else {},
         **_simulated(r.explained),
-        curve={
-            "at": tuple(map(float, d.knots)),
-            "value": tuple(map(float, d.values)),
-            "error": tuple(map(float, d.marginal.deviations)),
-        },
+        curve=_drawn(r) if len(d.axes) < 2 else {},
+        surface=_drawn(r) if len(d.axes) > 1 else {},
     )
+
+
+def _drawn(r: Remainder) -> dict[str, tuple[float, ...]]:
+    """Return what is drawn of a disturbance or a function, its curve or its surface."""
+    d = r.disturbance
+    at = {"at": d.knots} if len(d.axes) < 2 else dict(zip(("first", "second"), d.axes, strict=True))
+    drawn = {**at, "value": d.values, "error": d.marginal.deviations}
+    if d.axes:
+        drawn["samples"] = _samples(r)
+    return {name: tuple(map(float, each)) for name, each in drawn.items()}
+
+
+def _samples(r: Remainder) -> NDArray[np.float64]:
+    """Return how many samples there are nearest to each node of a function."""
+    d, linear = r.disturbance, r.at.linear
+    edges = [np.r_[-np.inf, 0.5 * (nodes[1:] + nodes[:-1]), np.inf] for nodes in d.axes]
+    seen = [*zip(linear.points, linear.sample_points, strict=True)]
+    columns = [np.concatenate([p.values[name][i] for p, i in seen]) for name in d.variables]
+    return np.histogramdd(np.column_stack(columns), edges)[0].ravel()
 
 
 def finding_of_recorded_input(h: RecordedInput, threshold: float, model: Model) -> Finding:
@@ -338,7 +354,8 @@ def _explanation(r: Remainder, time: TimeUnit) -> str:
     if d.place.kind == "state":
         at = f"{at} as the forces have it"
     if d.kind == "function":
-        return f"no candidate describes it, but a smooth function of {d.variable} in {where(d.place)} does: {_shape(d)}"
+        of = joined([*d.variables])
+        return f"no candidate describes it, but a smooth function of {of} in {where(d.place)} does: {_shape(r)}"
     if r.moves:
         return (
             f"what is missing in {at} is not a random disturbance: it recurs or grows with the motion, or follows past "
@@ -366,17 +383,28 @@ def _explanation(r: Remainder, time: TimeUnit) -> str:
     return f"a random disturbance acts on {at} (process noise, such as gusts or turbulence){slow}"
 
 
-def _shape(d: Disturbance) -> str:
-    """Return the values of a function at its ends and in the middle, in words."""
-    picked = [0, d.knots.size // 4, d.knots.size // 2, 3 * d.knots.size // 4, d.knots.size - 1]
-    pairs = [f"{number(float(d.values[i]), 3)} at {number(float(d.knots[i]), 3)}" for i in picked]
-    return joined(pairs)
+def _shape(r: Remainder) -> str:
+    """Return values of a function in words: at its ends and in the middle, or of two variables the extremes where there
+    are samples."""
+    d = r.disturbance
+    if len(d.axes) == 1:
+        picked = [0, d.knots.size // 4, d.knots.size // 2, 3 * d.knots.size // 4, d.knots.size - 1]
+        return joined([f"{number(float(d.values[i]), 3)} at {number(float(d.knots[i]), 3)}" for i in picked])
+    there = np.flatnonzero(_samples(r))
+    nodes = np.stack([each.ravel() for each in np.meshgrid(*d.axes, indexing="ij")], axis=1)
+
+    def at(i: int) -> str:
+        each = zip(d.variables, nodes[i].tolist(), strict=True)
+        return f"{number(float(d.values[i]), 3)} at {joined([f'{n} = {number(v, 3)}' for n, v in each])}"
+
+    return f"between {' and '.join(at(int(there[pick(d.values[there])])) for pick in (np.argmin, np.argmax))}"
 
 
 def _advice(r: Remainder) -> str:
     d = r.disturbance
     if r.is_unknown:
-        return "Try a term of your own with the shape of this curve, by candidates=."
+        what = "surface" if len(d.axes) > 1 else "curve"
+        return f"Try a term of your own with the shape of this {what}, by candidates=."
     if d.kind == "event":
         return "Exclude this span from the record, or give the disturbance as an input."
     if d.place.kind == "input":

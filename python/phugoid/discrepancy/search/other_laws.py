@@ -1,5 +1,5 @@
 """Laws of a variable that the records do not distinguish from that of the model (dry friction from viscous, say), and a
-missing term that no name fits, as a smooth function of one variable: fitted with the model, as a table.
+missing term that no name fits, as a smooth function of one variable or two: fitted with the model, as a table.
 
 Where a motion has about one speed all the time, friction in proportion to the speed and friction that does not depend
 on it are the same but for a factor. A term that is added to the model has nothing to explain then, since a parameter
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._core import Expr
-from ...errors import PhugoidError
-from ...fit_result import dataset
+from ...errors import PhugoidError, joined
+from ...fit_result import FitResult, dataset
 from ...parameters import Estimates
 from ...sensitivities import Place
 from ...sensitivities.linearised import Linearised
@@ -25,10 +25,11 @@ from ..candidates.candidate import Candidate, Effect, is_function
 from ..candidates.scales import Scales
 from ..candidates.terms import tabulated, where
 from . import Search, SearchResult
-from .disturbance import Disturbance, likeliest_function
+from .disturbance import Disturbance, hats, likeliest_function
 from .evidence import is_physical
 from .free_run import Explained, Misfitting, Simulated
 from .refit import Refit, fitted_to, on_other_data, refit, started_from
+from .segments import short_segments
 
 __all__ = [
     "OtherLaw",
@@ -243,7 +244,7 @@ _PARTS = ("linear", "own", "bias", "function")
 
 @dataclass(frozen=True, eq=False)
 class UnknownFunction:
-    """A function of one variable that is missing.
+    """A function of one variable or two that is missing.
 
     fitted      the model with it, in place of the terms that stood in for it.
     without     the same without the function.
@@ -261,32 +262,33 @@ class UnknownFunction:
     explained: Explained | None
 
 
-def terms_of(at: Refit, place: Place, variable: str) -> list[Candidate]:
-    """Return the terms of a refit that a function of a variable stands for: functions of it anywhere, for a quantity
-    and the equation that it is in are the same place, and linear ones at the place itself."""
+def terms_of(at: Refit, place: Place, variables: Sequence[str]) -> list[Candidate]:
+    """Return the terms of a refit that a function of variables stands for: functions of one of them anywhere, for a
+    quantity and the equation that it is in are the same place, and linear ones at the place itself; of two variables,
+    products of them there, too."""
 
     def is_part(c: Candidate) -> bool:
-        if not isinstance(c, Effect) or not {*c.variables} <= {variable}:
+        if not isinstance(c, Effect) or not {*c.variables} <= {*variables}:
             return False
-        return is_function(c) or (c.place == place and c.family in _PARTS)
+        return is_function(c) or (c.place == place and (c.family in _PARTS or len(c.variables) > 1))
 
     return [c for c in at.candidates if is_part(c)]
 
 
 def unknown_function(
-    search: Search, at: Refit, result: SearchResult, place: Place, variable: str
+    search: Search, at: Refit, result: SearchResult, place: Place, variables: tuple[str, ...]
 ) -> UnknownFunction | None:
-    """Return a function of a variable in a place, fitted with the model in place of the terms of a refit that are such
-    functions; None where it cannot be fitted, or where what a search found explains as much of data held out. Its gain
-    is over all that was found."""
+    """Return a function of one variable or two in a place, fitted with the model in place of the terms of a refit that
+    are such functions; None where it cannot be fitted, or where what a search found explains as much of data held out.
+    Its gain is over all that was found."""
     assess = search.assessment
-    replaced = {c.name for c in terms_of(at, place, variable)}
+    replaced = {c.name for c in terms_of(at, place, variables)}
     kept = [c for c in at.candidates if c.name not in replaced]
     without = search.cache.refit(kept, at.fit)
     if without is None:
         kept, without = [], search.cache.base
-    search.cache.watch(f"fitting any function of {variable} in {where(place)}")
-    settled = _settled(search, without, place, variable)
+    search.cache.watch(f"fitting any function of {joined([*variables])} in {where(place)}")
+    settled = _settled(search, without, place, variables)
     if settled is None:
         return None
     fitted, curve = settled
@@ -295,21 +297,21 @@ def unknown_function(
         fewer = search.cache.refit([o for o in fitted.candidates[:-1] if o is not c], without.fit)
         if fewer is None:
             continue
-        other = _settled(search, fewer, place, variable)
+        other = _settled(search, fewer, place, variables)
         if other is not None and assess.gain(other[0], fitted) < assess.needed(fitted, c):
             fitted, curve = other
     without = search.cache.refit(fitted.candidates[:-1], fitted.fit)
     if without is None:
         return None
     explained = assess.explained(without, fitted)
-    if explained is None or assess.is_minor(explained) or not _is_better(search, result, without, fitted, variable):
+    if explained is None or assess.is_minor(explained) or not _is_better(search, result, without, fitted, variables):
         return None
     unknowns, full = curve.marginal.unknowns, result.full
     gain = fitted.merit - unknowns - full.merit + len(full.candidates) - len(fitted.candidates) + 1
     return UnknownFunction(fitted, without, curve, unknowns, gain, explained)
 
 
-def _is_better(search: Search, result: SearchResult, without: Refit, fitted: Refit, variable: str) -> bool:
+def _is_better(search: Search, result: SearchResult, without: Refit, fitted: Refit, variables: Sequence[str]) -> bool:
     """Return whether a function explains more of data held out than the named causes in whose place it is.
 
     No record is without a misfit beside its causes, and with little noise a function that follows all of it is likelier
@@ -319,8 +321,8 @@ def _is_better(search: Search, result: SearchResult, without: Refit, fitted: Ref
     lost = [c for c in final.candidates if c.name not in without.names]
     if not lost:
         return True
-    # Linear terms of the variable belong to what stands for its function.
-    functions_lost = [c for c in lost if isinstance(c, Effect) and {*c.variables} == {variable}]
+    # Linear terms of the variables belong to what stands for their function.
+    functions_lost = [c for c in lost if isinstance(c, Effect) and c.variables and {*c.variables} <= {*variables}]
     more = assess.compared(without, final, fitted)
     if more is None or more.part > _MUCH:
         return True
@@ -334,9 +336,11 @@ def _is_better(search: Search, result: SearchResult, without: Refit, fitted: Ref
 
 def formula(search: Search, of: UnknownFunction) -> Refit | None:
     """Return the likeliest refit with a candidate that is a function of the same variable and explains as much as any
-    function of it does, here and on data held out; None where there is none."""
-    assess, (term,) = search.assessment, of.fitted.candidates[-1:]
-    (variable,) = term.variables if isinstance(term, Effect) else ("",)
+    function of it does, here and on data held out; None where there is none, or where there are two variables."""
+    assess = search.assessment
+    if len(of.curve.variables) != 1:
+        return None
+    (variable,) = of.curve.variables
     names = search.screen.functions(of.without, variable, of.fitted.own.filter, _FORMULAS)
     refits = search.cache.refits([[*of.without.candidates, c] for c in names], of.without.fit)
     least = of.fitted.merit - of.unknowns - _AHEAD
@@ -351,19 +355,43 @@ def formula(search: Search, of: UnknownFunction) -> Refit | None:
     return max((r for r in refits if r is not None and stands(r)), key=lambda r: r.merit, default=None)
 
 
-def _settled(search: Search, without: Refit, place: Place, variable: str) -> tuple[Refit, Disturbance] | None:
+def _settled(
+    search: Search, without: Refit, place: Place, variables: tuple[str, ...]
+) -> tuple[Refit, Disturbance] | None:
     """Return the likeliest refit with the function, and its curve; None where there is none."""
-    first = likeliest_function(without, place, variable)
+    first = likeliest_function(without, place, variables)
     if first is None:
         return None
-    nodes = np.linspace(first.knots[0], first.knots[-1], _NODES)
-    values = np.interp(nodes, first.knots, first.values)
-    deviations = np.interp(nodes, first.knots, first.marginal.deviations)
-    scales, base = Scales.of(without.linear.points), search.cache.base.fit
+    # Of one variable the table is finer than its nodes, for these may change from round to round.
+    axes = (np.linspace(first.axes[0][0], first.axes[0][-1], _NODES),) if len(first.axes) == 1 else first.axes
+    found = _refitted(search.cache.base.fit, without, replace(first, axes=axes, marginal=first.marginal_on(axes)))
+    # Of two variables it may move the path far: about short segments of the records, where the path is nearly the
+    # measured one, first order says more of it.
+    near = short_segments(without) if len(variables) > 1 else None
+    there = likeliest_function(near, place, variables) if near is not None else None
+    if near is not None and there is not None:
+        along = replace(there, axes=axes, marginal=there.marginal_on(axes))
+        _, values = _refitted(near.fit, near, along) or (near, along.values)
+        begun = replace(first, axes=axes, marginal=replace(along.marginal, coefficients=values))
+        other = _refitted(search.cache.base.fit, without, begun)
+        if other is not None and (found is None or other[0].merit > found[0].merit):
+            found = other
+    if found is None:
+        return None
+    best, values = found
+    marginal = replace(first.marginal_on(axes), coefficients=values)
+    return best, replace(first, knots=axes[0] if len(axes) == 1 else first.knots, axes=axes, marginal=marginal)
+
+
+def _refitted(base: FitResult, without: Refit, of: Disturbance) -> tuple[Refit, _Array] | None:
+    """Return the likeliest refit with a function, begun from its values at its nodes and bettered by what is missing
+    beside it, round after round, and its values (k,) there; None where there is none."""
+    scales = Scales.of(without.linear.points)
     starts = {n: without.fit.parameters[n].value for c in without.candidates for n in c.parameters}
+    shape = [nodes.size for nodes in of.axes]
 
     def fitted(values: _Array, near: Refit) -> Refit | None:
-        term = tabulated(place, variable, nodes, values, scales)
+        term = tabulated(of.place, of.variables, of.axes, values.reshape(shape), scales)
         (name,) = term.coefficients
         # The coefficient is 1 with every table.
         start = replace(near.fit, parameters=Estimates(e for n, e in near.fit.parameters.items() if n != name))
@@ -372,20 +400,38 @@ def _settled(search: Search, without: Refit, place: Place, variable: str) -> tup
     def factor(r: Refit) -> float:
         return r.fit.parameters[r.candidates[-1].coefficients[0]].value
 
+    values = of.values
     best = fitted(values, without)
     if best is None:
         return None
     for _ in range(_ROUNDS):
-        # About this fit: what it has already, and what is still missing.
-        missing = likeliest_function(best, place, variable)
-        if missing is None:
-            break
-        more = np.interp(nodes, missing.knots, missing.values)
+        # About this fit: what it has already, and what is still missing. Noise that wanders, as the residuals of a fit
+        # that is far off do, would hide most of that: where it leaves nothing, white noise shows it.
         known = factor(best) * values
-        tries = ((part, fitted(known + part * more, best)) for part in _STEPS)
-        part, following = next(((p, r) for p, r in tries if r and r.merit > best.merit + _GAIN), (0.0, None))
-        if following is None:
+        missing = (likeliest_function(best, of.place, of.variables, white) for white in (False, True))
+        steps = (m.marginal_on(of.axes).coefficients for m in missing if m is not None)
+        tries = (known + part * more for more in steps for part in _STEPS)
+        least, begun = best.merit + _GAIN, best
+        found = next(((each, r) for each in tries if (r := fitted(each, begun)) and r.merit > least), None)
+        if found is None:
             break
-        best, values = following, known + part * more
-    marginal = replace(first.marginal, coefficients=factor(best) * values, deviations=deviations)
-    return best, replace(first, knots=nodes, marginal=marginal)
+        values, best = found
+    values = factor(best) * values
+    # What parameters of the model do as well is not missing: the curve is easier to read without its linear part.
+    for constant in (True, False):
+        bent = values - _linear_part(without.linear, of, values, constant)
+        other = fitted(bent, best)
+        if other is not None and other.merit > best.merit - _GAIN:
+            return other, factor(other) * bent
+    return best, values
+
+
+def _linear_part(linear: Linearised, of: Disturbance, values: _Array, constant: bool) -> _Array:
+    """Return the part (k,) of the values of a function that is nearest to it along the records and linear in its
+    variables, with a ``constant`` or without."""
+    often = sum(hats([p.values[n] for n in of.variables], of.axes).sum(axis=1) for p in linear.points)
+    nodes = [each.ravel() for each in np.meshgrid(*of.axes, indexing="ij")]
+    plane = np.column_stack([np.ones(values.size), *nodes])
+    weight = np.sqrt(often)
+    found = np.linalg.lstsq(plane * weight[:, None], values * weight, rcond=None)[0]
+    return np.asarray(plane[:, not constant :] @ found[not constant :])

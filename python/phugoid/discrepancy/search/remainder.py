@@ -19,7 +19,15 @@ from ...sensitivities.linearised import Linearised
 from ...sensitivities.whitened import Whitened
 from ..candidates.candidate import Candidate, Effect, is_function
 from . import Search, SearchResult
-from .disturbance import Disturbance, Disturbances, components_of, disturbance_at, functions_of, powers_of
+from .disturbance import (
+    Disturbance,
+    Disturbances,
+    components_of,
+    disturbance_at,
+    functions_of,
+    functions_of_two,
+    powers_of,
+)
 from .free_run import LEAST, Explained, Misfitting, Simulated
 from .other_laws import formula, terms_of, unknown_function
 from .process_noise import FilterErrorRefit, filtered, filtered_elsewhere, single_event
@@ -163,6 +171,9 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
     if found is None:
         return None
     rivals = _rivals(likeliest, options, s)
+    surface = _function_of_two(search, result, found, known, s) if found.moves else None
+    if surface is not None:
+        return surface
     if found.disturbance.kind == "event":  # whatever kind they were compared as
         rivals = {f"{name.rpartition(':')[0]}:event": gain for name, gain in rivals.items()}
     return replace(found, rivals=rivals)
@@ -229,30 +240,31 @@ def _function(
     full, final = result.full, result.final
     others = [o.merit - full.merit for o in options if o.disturbance is not None and o.disturbance.kind != "function"]
     least = max([s.margin, *others])
-    tried: list[tuple[Refit, Place, str, float]] = []  # beside which terms, where, of what, and what it must gain
+    # Beside which terms, where, of what, and what it must gain.
+    tried: list[tuple[Refit, Place, tuple[str, ...], float]] = []
     for o in [o for o in options if o.disturbance is not None and o.disturbance.kind == "function"][: s.functions]:
         assert o.disturbance is not None
-        tried.append((o.at, o.disturbance.place, o.disturbance.variable, least))
+        tried.append((o.at, o.disturbance.place, o.disturbance.variables, least))
     for c in final.candidates:
         if isinstance(c, Effect) and is_function(c):
             alike = [o for o in terms_of(full, c.place, *c.variables) if is_function(o)]
             if len(alike) == 1:
-                tried.append((full, c.place, c.variables[0], least))
+                tried.append((full, c.place, c.variables, least))
                 continue
             # Several stand for one function, which need not be where they are.
             places = dict.fromkeys([c.place, *_likeliest_place(search, full, alike, c.variables[0], known)])
-            tried += [(full, place, c.variables[0], min(-s.margin, least)) for place in places]
+            tried += [(full, place, c.variables, min(-s.margin, least)) for place in places]
     part = search.assessment.explained(search.cache.base, full) if final.names else None
     if part is not None and part.part < s.most:
         first = max(functions_of(search.cache.base, known.known), key=lambda h: h.merit, default=None)
         if first is not None and first.merit > search.cache.base.merit + s.margin:
-            tried.append((search.cache.base, first.place, first.variable, least))
-    seen: set[tuple[tuple[str, ...], Place, str]] = set()
-    for at, place, variable, needed in tried:
-        if (at.names, place, variable) in seen:
+            tried.append((search.cache.base, first.place, first.variables, least))
+    seen: set[tuple[tuple[str, ...], Place, tuple[str, ...]]] = set()
+    for at, place, variables, needed in tried:
+        if (at.names, place, variables) in seen:
             continue
-        seen.add((at.names, place, variable))
-        found = unknown_function(search, at, result, place, variable)
+        seen.add((at.names, place, variables))
+        found = unknown_function(search, at, result, place, variables)
         if found is not None and found.gain > needed:
             named = formula(search, found)
             if named is not None and {*named.names} <= {*full.names}:
@@ -264,6 +276,24 @@ def _function(
                 found.curve, found.without, gain, nan, explained=explained, fitted=found.fitted, known=named
             )
     return None
+
+
+def _function_of_two(
+    search: Search, result: SearchResult, of: Remainder, known: Disturbances, s: RemainderSettings
+) -> Remainder | None:
+    """Return an unknown function of two variables in place of a time history that goes with the motion; None where none
+    simulates data held out better, or is likelier than coloured noise."""
+    at, where = of.at, of.disturbance.place
+    equations = sorted((p for p in at.linear.places if p.kind == "equation"), key=lambda p: p.name)
+    places = [p for p in equations if p.name in known.known and (where.kind == "input" or p.name == where.name)]
+    likeliest = max(functions_of_two(at, known.known, places), key=lambda h: h.merit, default=None)
+    if likeliest is None or likeliest.merit < at.merit + s.margin:
+        return None
+    found = unknown_function(search, at, result, likeliest.place, likeliest.variables)
+    if found is None or found.gain < s.margin:
+        return None
+    gain = found.fitted.merit - found.unknowns - found.without.merit
+    return Remainder(found.curve, found.without, gain, float("nan"), explained=found.explained, fitted=found.fitted)
 
 
 def _likeliest_place(

@@ -236,7 +236,7 @@ def _likelier_shapes(search: Search, at: Refit, together: Explained, s: Surrogat
     """Return, by the name of a term, the function of its variable that is likelier beside it, in its place, and
     explains much."""
     terms = [c for c in at.candidates if isinstance(c, Effect) and is_function(c)]
-    every = {c.name: likeliest_function(at, c.place, *c.variables) for c in terms}
+    every = {c.name: likeliest_function(at, c.place, c.variables) for c in terms}
     ahead = {n: h for n, h in every.items() if h is not None and h.merit >= at.merit + s.margin}
     base = _with_held_out(search, search.cache.base) if ahead else None
     if base is None:

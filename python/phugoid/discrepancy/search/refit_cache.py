@@ -68,11 +68,12 @@ class RefitCache:
     def __post_init__(self) -> None:
         self._refits: dict[frozenset[str], Refit | None] = {frozenset(): self.base}
         self._scans: dict[frozenset[str], Scan] = {}
-        self._others: dict[frozenset[str], Linearised | None] = {}
-        self._as_fitted: dict[frozenset[str], Linearised | None] = {}
+        # By the refits themselves: of tabulated functions several have one name.
+        self._others: dict[Refit, Linearised | None] = {}
+        self._as_fitted: dict[Refit, Linearised | None] = {}
         self._starts: dict[str, Mapping[str, float]] = {}
         self._modes = light_modes(self.base.fit)
-        self._ringing: dict[frozenset[str], Ringing | None] = {}
+        self._ringing: dict[Refit, Ringing | None] = {}
         self.candidates = with_variants(self.candidates, self.base.linear.points, self.base.fit.model)
         # Outputs of which the base leaves most, and not since they are mostly noise.
         structured = is_structured(self.base, _USELESS)
@@ -159,8 +160,7 @@ class RefitCache:
         found = refit(self.base.fit, candidates, {}, near, self.base.linear.points, patient=True)
         if found is None or (before is not None and found.fit.log_likelihood < before.fit.log_likelihood + _SAME):
             return before
-        for known in (self._scans, self._others, self._as_fitted, self._ringing):
-            known.pop(key, None)
+        self._scans.pop(key, None)
         self._refits[key] = found
         return found
 
@@ -215,7 +215,7 @@ class RefitCache:
         """Have a candidate about the centre that it has in a refit from here on, and forget what is known of others."""
         (new,) = (c for c in found.candidates if c.name == candidate.name)
         assert isinstance(new, Effect)
-        for known in (self._refits, self._scans, self._others, self._as_fitted, self._ringing):
+        for known in (self._refits, self._scans):
             for key in [key for key in known if candidate.name in key]:
                 del known[key]
         self._refits[frozenset(found.names)] = found
@@ -335,13 +335,12 @@ class RefitCache:
 
     def ringing(self, at: Refit) -> Ringing | None:
         """Return what rings in the residuals of a set at lightly damped modes of the base; None where nothing does."""
-        key = frozenset(at.names)
-        if key not in self._ringing:
+        if at not in self._ringing:
             filter = at.own.filter
             assert isinstance(filter, Whitening)  # channel by channel
             found = ringing_of(filter, at.own.residuals, at.linear, self._modes) if self._modes.size else None
-            self._ringing[key] = found
-        return self._ringing[key]
+            self._ringing[at] = found
+        return self._ringing[at]
 
     def try_validation(self) -> None:
         """Fits the base to the validation data, where there are any. Raises ModelError or DataError where they cannot
@@ -354,35 +353,33 @@ class RefitCache:
         """Return the refit's model on the validation data, linearised, from another's path there, by default that of
         the base; None without such data, and where it cannot be fitted to them. With ``known`` only what was worked
         out before."""
-        if not self.validation or (known and frozenset(at.names) not in self._others):
+        if not self.validation or (known and at not in self._others):
             return None
-        key = frozenset(at.names)
-        if key not in self._others:
+        if at not in self._others:
             try:
-                near = near or self._others.get(frozenset())
-                self._others[key] = on_other_data(at, self.validation, near, self.estimated_again(at))
+                near = near or self._others.get(self.base)
+                self._others[at] = on_other_data(at, self.validation, near, self.estimated_again(at))
             except PhugoidError:
-                if not key:
+                if at is self.base:
                     raise
-                self._others[key] = None
-        return self._others[key]
+                self._others[at] = None
+        return self._others[at]
 
     def as_fitted(self, at: Refit, known: bool = False) -> Linearised | None:
         """Return the same with disturbances and drifts as fitted to the records, as `Fit.validate` has them."""
         if all(c.transferable for c in at.candidates):
             return self.on_validation(at, known=known)
-        key = frozenset(at.names)
-        if not self.validation or (known and key not in self._as_fitted):
+        if not self.validation or (known and at not in self._as_fitted):
             return None
-        if key not in self._as_fitted:
+        if at not in self._as_fitted:
             try:
                 found = on_other_data(
                     at, self.validation, self.on_validation(at), self.estimated_again(at), as_fitted=True
                 )
             except PhugoidError:
                 found = None
-            self._as_fitted[key] = found
-        return self._as_fitted[key]
+            self._as_fitted[at] = found
+        return self._as_fitted[at]
 
     def estimated_again(self, at: Refit) -> Sequence[str]:
         """Return what is estimated again on other data: of the base what was asked for, and biases that were found."""

@@ -64,6 +64,16 @@ def test_its_numbers_are_those_of_the_benchmarks(number: str) -> None:
     assert number in TEXT and any(number in page.read_text(encoding="utf-8") for page in sources)
 
 
+def test_its_counts_of_diagnoses_are_those_of_the_judges() -> None:
+    table = (pages.ROOT / "docs" / "comparison.md").read_text(encoding="utf-8")
+    judges = [list(map(int, row.split("|"))) for row in re.findall(r"^\| \w+ judge \|(.*)\|$", table, flags=re.M)]
+    hidden, first, *_, wrong, _, _, nothing, alarms = map(sum, zip(*judges, strict=True))
+    said = f"In {hidden} systems by four judges who had not seen its code it named the hidden effect first in {first}, "
+    said += f"a wrong one in {wrong}"
+    assert len(judges) == 4 and said in " ".join(TEXT.split())
+    assert f"Where nothing was hidden it named something in {alarms} of their {nothing}," in TEXT
+
+
 def test_links_become_absolute_where_relative_ones_do_not_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = tmp_path / "README.md"
     page.write_text(TEXT, encoding="utf-8")

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
+import sys
+from pathlib import Path
 
 import pages
+import pytest
 import try_wheel
 
 RECIPE, CITATION, CARGO, PYPROJECT = (
@@ -42,3 +46,15 @@ def test_a_wheel_is_tried_at_the_lowest_versions_that_it_accepts() -> None:
     metadata += "Requires-Dist: rich>=13\n"
     assert try_wheel.requirements(metadata, lowest=True) == ["numpy==1.24", "rich==13"]
     assert try_wheel.requirements(metadata, lowest=False) == ["numpy>=1.24", "rich>=13"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a script of a shell stands for a Python")
+def test_a_python_is_found_on_the_path_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The environment itself sees the folders of the system alone."""
+    python = tmp_path / "bin" / "a-python"
+    python.parent.mkdir()
+    python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n', encoding="utf-8")
+    python.chmod(0o755)
+    monkeypatch.setenv("PATH", str(python.parent), prepend=os.pathsep)
+    environment = try_wheel.Environment(tmp_path, "a-python")
+    assert environment.run("python", "-c", "import sys; print(sys.prefix)").strip() == str(tmp_path / "env")

@@ -10,12 +10,14 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import jinja2
 import numpy as np
 import pytest
 
 import phugoid as ph
 from phugoid.discrepancy.page import report
 from phugoid.discrepancy.search.finding import DiagnosisResult
+from phugoid.pages import PageTable
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium to render the pages with")
@@ -137,14 +139,40 @@ def test_a_page_that_overflows_would_be_found(tmp_path: Path) -> None:
     assert found["scroll"] == 900 and found["out"] and len(said) == 1
 
 
-def test_print_shows_what_the_screen_folds(pages: dict[str, Path], tmp_path: Path) -> None:
+def printed(page: Path, folder: Path) -> list[str]:
+    """The text of each printed page of a report."""
     text = shutil.which("pdftotext")
     if text is None:
         pytest.skip("no pdftotext to read the printed page with")
-    browse(tmp_path, "--no-pdf-header-footer", f"--print-to-pdf={tmp_path / 'fit.pdf'}", url=pages["fit"].as_uri())
-    printed = subprocess.run(
-        [text, "-layout", str(tmp_path / "fit.pdf"), "-"], capture_output=True, text=True, check=True
-    )
+    paper = folder / f"{page.stem}.pdf"
+    browse(folder, "--no-pdf-header-footer", f"--print-to-pdf={paper}", url=page.as_uri())
+    done = subprocess.run([text, "-layout", str(paper), "-"], capture_output=True, text=True, check=True)
+    return done.stdout.split("\f")[:-1]
+
+
+def test_print_shows_what_the_screen_folds(pages: dict[str, Path], tmp_path: Path) -> None:
+    sheets = printed(pages["fit"], tmp_path)
     for words in ("Warnings and remarks", "Initial states", "largest defect", "trials", "versions"):
-        assert words in printed.stdout
-    assert printed.stdout.count("\f") <= 10
+        assert any(words in sheet for sheet in sheets), words
+    assert len(sheets) <= 8
+
+
+def test_print_leaves_out_what_needs_a_screen(pages: dict[str, Path], tmp_path: Path) -> None:
+    asked = "Time histories, and residuals over two variables"
+    assert asked in pages["diagnosis"].read_text(encoding="utf-8")
+    sheets = printed(pages["diagnosis"], tmp_path)
+    assert not any(asked in sheet for sheet in sheets) and any("A note." in sheet for sheet in sheets)
+
+
+@pytest.mark.parametrize("rows", [12, 25])
+def test_print_divides_long_tables_alone(rows: int, tmp_path: Path) -> None:
+    """A table of many rows is divided, with its heads on each page; one of few rows goes to the next page whole."""
+    templates = jinja2.Environment(loader=jinja2.PackageLoader("phugoid", "templates"), autoescape=True)
+    text = "<!DOCTYPE html><style>{% include 'style.css' %}</style><p style='height: 20cm'>before</p>"
+    text += "{% import 'pieces.html' as p %}{{ p.table(table) }}"
+    table = PageTable(["name", "value"], [[f"row {i}", "1"] for i in range(rows)], "lr")
+    page = tmp_path / "rows.html"
+    page.write_text(templates.from_string(text).render(table=table), encoding="utf-8")
+    first, second = printed(page, tmp_path)
+    assert "value" in second and f"row {rows - 1}" in second
+    assert ("row 0" in first, "row 0" in second) == ((True, False) if rows == 25 else (False, True))

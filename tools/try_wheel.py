@@ -92,10 +92,13 @@ class Environment:
 
     def __post_init__(self) -> None:
         self.scripts = self.folder / "env" / ("Scripts" if os.name == "nt" else "bin")
-        if Path(self.python).resolve() == Path(sys.executable).resolve():
+        # Found as the user finds it: commands of the environment see no other folders than the system's.
+        asked = [self.python, "-c", "import sys; print(sys.executable)"]
+        python = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+        if Path(python).resolve() == Path(sys.executable).resolve():
             venv.create(self.folder / "env", with_pip=True)
         else:
-            self.run(self.python, "-m", "venv", str(self.folder / "env"))
+            self.run(python, "-m", "venv", str(self.folder / "env"))
 
     def run(self, program: str, *arguments: str) -> str:
         """Return what a program prints: one of the environment by its name, or any by its path."""

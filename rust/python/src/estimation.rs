@@ -118,18 +118,18 @@ type Solved<'py> = (
 /// A function in Python that solves a problem from a point. It is called with the problem, variables, multipliers of
 /// constraints and of bounds, whether states are known, near, sparse, most iterations and the seconds left; it gives None where a function
 /// is not finite at the start.
-struct OwnSolver<'c, 'a, R> {
-    caller: &'c Caller<'a, R>,
+struct OwnSolver<'c, 'a> {
+    caller: &'c Caller<'a>,
     solve: &'a Py<PyAny>,
 }
 
-impl<R> fmt::Debug for OwnSolver<'_, '_, R> {
+impl fmt::Debug for OwnSolver<'_, '_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("a solver in Python")
     }
 }
 
-impl<R: Send> Solver for OwnSolver<'_, '_, R> {
+impl Solver for OwnSolver<'_, '_> {
     fn solve(
         &self,
         problem: &Problem,

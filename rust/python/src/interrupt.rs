@@ -15,16 +15,19 @@ const POLL: Duration = Duration::from_millis(10);
 
 type Job<'a> = Box<dyn FnOnce(Python<'_>) -> PyResult<()> + Send + 'a>;
 
-enum Message<'a, R> {
+/// Of one type whatever the work returns: the code of a channel is as long as that of many a work.
+enum Message<'a> {
     /// To be done on the thread that waits, which then tells whether to go on.
     Do(Job<'a>, Sender<bool>),
-    Done(thread::Result<R>),
+    Done(thread::Result<()>),
 }
 
-/// What the work can have done on the thread that waits for it: Python's own, where its callbacks belong.
-pub struct Caller<'a, R>(Sender<Message<'a, R>>);
+type Work<'w, 'a> = Box<dyn FnOnce(&Caller<'a>) + Send + 'w>;
 
-impl<'a, R> Caller<'a, R> {
+/// What the work can have done on the thread that waits for it: Python's own, where its callbacks belong.
+pub struct Caller<'a>(Sender<Message<'a>>);
+
+impl<'a> Caller<'a> {
     /// Calls a function there; whether to go on: not after an error.
     pub fn call(&self, job: impl FnOnce(Python<'_>) -> PyResult<()> + Send + 'a) -> bool {
         let (reply, answer) = channel();
@@ -37,7 +40,7 @@ impl<'a, R> Caller<'a, R> {
 pub fn watched<'a, R: Send>(
     py: Python<'_>,
     stop: Option<&Py<PyAny>>,
-    work: impl FnOnce(&Caller<'a, R>) -> R + Send,
+    work: impl FnOnce(&Caller<'a>) -> R + Send,
 ) -> (R, Option<PyErr>) {
     watched_twice(py, stop, &Interrupt::default(), work)
 }
@@ -47,8 +50,24 @@ pub fn watched_twice<'a, R: Send>(
     py: Python<'_>,
     stop: Option<&Py<PyAny>>,
     second: &Interrupt,
-    work: impl FnOnce(&Caller<'a, R>) -> R + Send,
+    work: impl FnOnce(&Caller<'a>) -> R + Send,
 ) -> (R, Option<PyErr>) {
+    let mut result = None;
+    let (ended, error) = watch(py, stop, second, Box::new(|caller| result = Some(work(caller))));
+    match (ended, result) {
+        (Ok(()), Some(result)) => (result, error),
+        (Ok(()), None) => unreachable!("work that ended has a result"),
+        (Err(panic), _) => std::panic::resume_unwind(panic),
+    }
+}
+
+/// Does the work, and returns how it ended and the error that ended it.
+fn watch<'a>(
+    py: Python<'_>,
+    stop: Option<&Py<PyAny>>,
+    second: &Interrupt,
+    work: Work<'_, 'a>,
+) -> (thread::Result<()>, Option<PyErr>) {
     let interrupt = Interrupt::within(None);
     let (mut error, mut raised): (Option<PyErr>, u32) = (None, 0);
     let ask = |py: Python<'_>| -> PyResult<u32> {
@@ -73,18 +92,18 @@ pub fn watched_twice<'a, R: Send>(
     };
     // What was pressed before counts, however quick the work is.
     note(ask(py));
-    let done = py.detach(|| {
-        let (sender, receiver) = channel::<Message<'a, R>>();
+    let ended = py.detach(|| {
+        let (sender, receiver) = channel::<Message<'a>>();
         let inner = interrupt.clone();
         let body = || {
             let caller = Caller(sender);
             let run = std::panic::AssertUnwindSafe(|| inner.run(|| work(&caller)));
-            let result = std::panic::catch_unwind(run);
-            let _ = caller.0.send(Message::Done(result));
+            let ended = std::panic::catch_unwind(run);
+            let _ = caller.0.send(Message::Done(ended));
         };
         let wait = || loop {
             match receiver.recv_timeout(POLL) {
-                Ok(Message::Done(result)) => break result,
+                Ok(Message::Done(ended)) => break ended,
                 Ok(Message::Do(job, reply)) => {
                     let said =
                         Python::attach(|py| note(ask(py)) && note(job(py).map(|()| 0)) && note(ask(py)));
@@ -98,10 +117,7 @@ pub fn watched_twice<'a, R: Send>(
         };
         beside(body, wait).unwrap_or_else(|e| std::panic::resume_unwind(Box::new(e.to_string())))
     });
-    match done {
-        Ok(result) => (result, error),
-        Err(panic) => std::panic::resume_unwind(panic),
-    }
+    (ended, error)
 }
 
 /// The same for work that is worth nothing unless it is finished.

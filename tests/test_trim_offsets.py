@@ -1,7 +1,7 @@
 """Linear aircraft whose trim is estimated: products of derivatives and offsets, from start values that are all 0.
 
-There neither factor of a product has influence. A descent in the factors may lead to an offset that grows without limit while its
-derivative goes to 0, since a constant is better than nothing.
+There neither factor of a product has influence. A descent in the factors may lead to an offset that grows without limit
+while its derivative goes to 0, since a constant is better than nothing.
 """
 
 from __future__ import annotations

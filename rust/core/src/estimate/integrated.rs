@@ -158,6 +158,15 @@ impl Estimation<'_> {
         }
     }
 
+    /// Sets the status of a fit that ended for want of a step where its path is a solution all the same: that of the model
+    /// integrated with the estimates. To say "infeasible" of it would be wrong.
+    pub(super) fn deny_no_solution(fit: &mut Fit) {
+        let is_solution = fit.integrated.is_some_and(|l| (l - fit.log_likelihood).abs() <= DIFFERENT);
+        if fit.feasible && fit.status == Status::Infeasible && is_solution {
+            fit.end_as(Status::Failed);
+        }
+    }
+
     /// Returns the log-likelihood of the model integrated with the estimates of a fit, also where the time of the estimation is
     /// over.
     pub(super) fn integrated_log_likelihood(&self, fit: &Fit) -> Result<f64, Error> {

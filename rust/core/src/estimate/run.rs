@@ -47,6 +47,7 @@ impl Estimation<'_> {
             within.refine_along_the_motion(&mut fit, &mut watch)?;
             within.compare_with_halves(&mut fit)?;
             Self::believe_no_end_without_solution(&mut fit);
+            Self::deny_no_solution(&mut fit);
             Ok(fit)
         })
     }

@@ -5,6 +5,7 @@
 //! maxima, so that a few other places are looked at before the first step, and more of them after a run that led nowhere.
 
 mod normal;
+mod products;
 mod regression;
 mod separable;
 

@@ -40,10 +40,10 @@ pub(super) struct Regression<'a> {
     /// The profiled variables at the start.
     first: Vec<f64>,
     /// For each border variable its place among the free ones.
-    place: Vec<usize>,
+    pub(super) place: Vec<usize>,
     normal: Normal,
     gradient: Vec<f64>,
-    jacobian: Vec<f64>,
+    pub(super) jacobian: Vec<f64>,
     hessian: Vec<f64>,
     profile: Vec<f64>,
 }
@@ -56,6 +56,18 @@ pub(super) struct Equations {
 }
 
 impl Equations {
+    /// From a symmetric matrix, of which the lower triangle is used, and a right-hand side.
+    pub fn new(mut a: DMatrix<f64>, b: DVector<f64>) -> Equations {
+        let k = b.len();
+        let scale = DVector::from_fn(k, |i, _| if a[(i, i)] > 0.0 { a[(i, i)].sqrt().recip() } else { 1.0 });
+        for i in 0..k {
+            for j in 0..=i {
+                a[(i, j)] *= scale[i] * scale[j];
+            }
+        }
+        Equations { a, b, scale }
+    }
+
     /// The step with these parts added to the diagonal.
     pub fn step(&self, damping: impl Fn(usize) -> f64) -> Option<DVector<f64>> {
         let n = self.b.len();
@@ -232,12 +244,6 @@ impl<'a> Regression<'a> {
             }
         }
         self.free.iter().enumerate().for_each(|(i, &x)| b[i] -= self.gradient[x]);
-        let scale = DVector::from_fn(k, |i, _| if a[(i, i)] > 0.0 { a[(i, i)].sqrt().recip() } else { 1.0 });
-        for i in 0..k {
-            for j in 0..=i {
-                a[(i, j)] *= scale[i] * scale[j];
-            }
-        }
-        Some(Equations { a, b, scale })
+        Some(Equations::new(a, b))
     }
 }

@@ -40,7 +40,10 @@ impl Regression<'_> {
         if own.is_none() {
             self.here.copy(&start);
         }
-        let others = self.other_places(&start.xi, FEW);
+        let by_products = self.regress_with_products(&start);
+        let mut others = self.other_places(&start.xi, FEW);
+        others.extend(by_products);
+        others.sort_by(|a, b| a.0.total_cmp(&b.0));
         let most = own.as_ref().map_or(f64::INFINITY, |o| o.0 - BETTER * start.c.len() as f64);
         let mut from = own.map_or(start, |o| o.1);
         let better = others.into_iter().next().filter(|o| o.0 < most);
@@ -109,7 +112,7 @@ impl Regression<'_> {
         self.here.evaluate(self.program).ok()
     }
 
-    fn move_by(&mut self, step: &[f64]) {
+    pub(super) fn move_by(&mut self, step: &[f64]) {
         for (&i, d) in self.free.iter().zip(step) {
             let x = &mut self.here.xi[i];
             *x = self.program.within(i, *x + d);
@@ -118,7 +121,7 @@ impl Regression<'_> {
 
     /// Levenberg-Marquardt steps of the nonlinear parameters, the linear ones projected out. Parameters that lose
     /// their influence, such as one in a denominator that has gone to infinity, are put back where they started.
-    fn descend(&mut self) -> Option<()> {
+    pub(super) fn descend(&mut self) -> Option<()> {
         let from: Vec<f64> = self.free.iter().map(|&i| self.here.xi[i]).collect();
         let influence = self.influence();
         self.settle()?;
@@ -171,7 +174,7 @@ impl Regression<'_> {
     }
 
     /// φ, and the negative log-likelihood of the defects with variances of their own.
-    fn criterion(&mut self) -> Option<f64> {
+    pub(super) fn criterion(&mut self) -> Option<f64> {
         self.noise_of_outputs();
         self.here.evaluate(self.program).ok()?;
         let weights = self.weights_of_defects();

@@ -198,6 +198,9 @@ pub trait Nlp: Named + Send + Sync {
 pub trait Separable: Nlp {
     /// Border variables in which outputs and constraints are not linear, jointly linear in the other ones.
     fn nonlinear(&self) -> Vec<VariableId>;
+    /// Pairs of border variables that are multiplied with each other, and in neither of which outputs and constraints are
+    /// nonlinear by itself.
+    fn products(&self) -> Vec<(VariableId, VariableId)>;
     /// Moves these variables to another place to start from; which one, `draw` says.
     fn move_elsewhere(&self, xi: &mut [f64], variables: &[VariableId], draw: u64);
 }

@@ -11,15 +11,7 @@ impl Posed {
     /// Variables that are parameters of the model in which f and g are not linear, the least number such that they
     /// are jointly linear in all others, as far as a greedy choice finds it.
     pub(crate) fn nonlinear(&self) -> Vec<VariableId> {
-        let (n_x, n) = (self.state_names.len(), self.n_seen());
-        let mut meets = vec![false; n * n];
-        for function in [&*self.f, &self.outputs] {
-            let pairs =
-                function.hessian_pattern.iter().map(|(r, c)| (r.wrapping_sub(n_x), c.wrapping_sub(n_x)));
-            for (r, c) in pairs.filter(|&(r, c)| r < n && c < n) {
-                (meets[r * n + c], meets[c * n + r]) = (true, true);
-            }
-        }
+        let (n, meets) = (self.n_seen(), self.meets());
         let mut nonlinear: Vec<bool> = (0..n).map(|p| meets[p * n + p]).collect();
         // Of those that are multiplied with each other, the ones that meet most others first.
         loop {
@@ -32,6 +24,37 @@ impl Posed {
         }
         let of_model = (0..self.n_model_parameters).map(VariableId);
         of_model.filter(|&i| nonlinear[self.estimands.parameter[i].0]).collect()
+    }
+
+    /// Pairs of variables that are parameters of the model and multiplied with each other, where f and g are nonlinear in
+    /// neither by itself.
+    pub(crate) fn products(&self) -> Vec<(VariableId, VariableId)> {
+        let (n, meets) = (self.n_seen(), self.meets());
+        let seen = |i: usize| self.estimands.parameter[VariableId(i)].0;
+        let together = |i: usize, j: usize| {
+            let (a, b) = (self.estimands.experiment[VariableId(i)], self.estimands.experiment[VariableId(j)]);
+            a.is_none() || b.is_none() || a == b
+        };
+        let multiplied = |i: usize, j: usize| {
+            let (p, q) = (seen(i), seen(j));
+            meets[p * n + q] && !meets[p * n + p] && !meets[q * n + q] && together(i, j)
+        };
+        let all = (0..self.n_model_parameters).flat_map(|j| (0..j).map(move |i| (i, j)));
+        all.filter(|&(i, j)| multiplied(i, j)).map(|(i, j)| (VariableId(i), VariableId(j))).collect()
+    }
+
+    /// Whether a second derivative of f or g by two parameters is other than 0, row by row.
+    fn meets(&self) -> Vec<bool> {
+        let (n_x, n) = (self.state_names.len(), self.n_seen());
+        let mut meets = vec![false; n * n];
+        for function in [&*self.f, &self.outputs] {
+            let pairs =
+                function.hessian_pattern.iter().map(|(r, c)| (r.wrapping_sub(n_x), c.wrapping_sub(n_x)));
+            for (r, c) in pairs.filter(|&(r, c)| r < n && c < n) {
+                (meets[r * n + c], meets[c * n + r]) = (true, true);
+            }
+        }
+        meets
     }
 
     /// ξ with these variables elsewhere: multiplied by factors that a hash of `draw` gives, within bounds; those

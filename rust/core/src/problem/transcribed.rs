@@ -58,6 +58,10 @@ impl<T: Transcribed> Separable for T {
         self.posed().nonlinear()
     }
 
+    fn products(&self) -> Vec<(VariableId, VariableId)> {
+        self.posed().products()
+    }
+
     fn move_elsewhere(&self, xi: &mut [f64], variables: &[VariableId], draw: u64) {
         self.posed().move_elsewhere(xi, variables, draw);
     }

@@ -4,6 +4,7 @@ sensor."""
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +14,16 @@ import phugoid as ph
 from phugoid.discrepancy.search import Search, SearchResult
 from phugoid.discrepancy.search.disturbance import histories_at, likeliest_function
 from phugoid.discrepancy.search.other_laws import unknown_function
-from phugoid.discrepancy.search.refit import Refit
+from phugoid.discrepancy.search.refit import HeldOut, Refit
 from phugoid.discrepancy.search.remainder import Remainder
-from phugoid.discrepancy.search.surrogates import DIFFERS, SurrogateSettings, is_motion, persistence, without_surrogates
+from phugoid.discrepancy.search.surrogates import (
+    CONTRADICTED,
+    DIFFERS,
+    SurrogateSettings,
+    is_motion,
+    persistence,
+    without_surrogates,
+)
 from phugoid.residual_noise.whitening import Whitening
 from phugoid.sensitivities import Place
 from phugoid.sensitivities.tangents import collocated
@@ -110,6 +118,22 @@ def test_a_term_that_leaves_a_larger_motion_is_a_surrogate() -> None:
     kept, remainder = without_surrogates(search, result, None)
     assert kept.surrogates.keys() == {"v':u^2"} and kept.final is search.cache.base and kept.full is result.full
     assert remainder is None
+
+
+def test_a_term_with_which_data_held_out_are_predicted_worse_is_a_surrogate_unless_it_explains_most() -> None:
+    search, result = named(CUBE, "v':x^3")
+    (found,) = result.found
+    assert found.explained is not None and found.explained.part > 0.9
+    worse = HeldOut(-20.0, 5.0, -20.0)
+
+    def surrogates(held_out: HeldOut, part: float) -> Mapping[str, str]:
+        assert found.explained is not None
+        other = replace(found, held_out=held_out, explained=replace(found.explained, part=part))
+        return without_surrogates(search, replace(result, found=(other,)), None)[0].surrogates
+
+    assert surrogates(worse, 0.3) == {"v':x^3": CONTRADICTED}
+    assert not surrogates(worse, 0.7) and not surrogates(worse._replace(deviation=30.0), 0.3)
+    assert not surrogates(found.held_out, 0.3)
 
 
 def test_a_term_that_data_held_out_ask_to_be_different_is_a_surrogate() -> None:

@@ -292,8 +292,8 @@ def unknown_function(
     if settled is None:
         return None
     fitted, curve = settled
-    # Beside the function others may be needless.
-    for c in kept:
+    # Beside the function others may be needless; of two variables that takes too long to ask.
+    for c in kept if len(variables) == 1 else ():
         fewer = search.cache.refit([o for o in fitted.candidates[:-1] if o is not c], without.fit)
         if fewer is None:
             continue

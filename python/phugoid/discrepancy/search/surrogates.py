@@ -37,6 +37,7 @@ from .refit import Refit, fitted_to, is_structured, values_of
 from .remainder import Remainder
 
 __all__ = [
+    "CONTRADICTED",
     "DIFFERS",
     "LEAVES_MORE",
     "SurrogateSettings",
@@ -55,6 +56,10 @@ LEAVES_MORE = (
 DIFFERS = (
     "estimated with the data held out it is different, or does not describe both, so that it may represent an effect "
     "of about this shape that no candidate describes"
+)
+CONTRADICTED = (
+    "with it the data held out are predicted worse, beside the other causes, and it explains the lesser part of the "
+    "misfit, so that it may represent an effect that no candidate describes"
 )
 """Why a term is a surrogate, in words."""
 
@@ -129,6 +134,8 @@ class SurrogateSettings:
                 better answer.
     persistent  autocorrelation of an output's residuals over a lag in which the output itself hardly moves, from which
                 on they are a motion rather than noise of a sensor (`persistence`).
+    little      part of the misfit that all named terms explain together at most, below which ``lasting`` is enough of
+                that autocorrelation.
     whole       part of the misfit of data held out that terms explain, from which on they are not compared with it
                 further.
     deviation   standard errors by which a parameter of a term may change when data held out are added.
@@ -142,6 +149,8 @@ class SurrogateSettings:
     most: float = 0.5
     sure: float = 0.8
     persistent: float = 0.94
+    little: float = 0.2
+    lasting: float = 0.85
     whole: float = 0.9
     deviation: float = 4.0
     margin: float = 8.0
@@ -162,6 +171,7 @@ def without_surrogates(
     lost = {c.name: LEAVES_MORE for c in _outweighed(search, result, named, remainder, s)}
     differing, curve = _differing(search, final, s)
     lost |= {c.name: DIFFERS for c in differing}
+    lost |= {f.candidate.name: CONTRADICTED for f in named if f.candidate is not None and _is_contradicted(f, s)}
     if not lost:
         return result, remainder
     kept = search.cache.refit([c for c in final.candidates if c.name not in lost], final.fit)
@@ -176,9 +186,11 @@ def _outweighed(
 ) -> list[Candidate]:
     """Return the terms that leave more of the misfit, as a motion, than they explain."""
     unknown = remainder is not None and remainder.is_unknown
-    if not (unknown or is_motion(result.final, s.persistent)):
-        return []
     together = search.assessment.explained(search.cache.base, result.final)
+    # Where nearly all of the misfit is left, less persistence shows that it is no noise.
+    little = together is not None and together.interval[1] < s.little
+    if not (unknown or is_motion(result.final, s.lasting if little else s.persistent)):
+        return []
     doubtful = together is None or together.interval[0] < s.most
     # A function that has no name is the better part of the answer where it is so much likelier.
     gain = remainder.gain if remainder is not None and unknown else -np.inf
@@ -260,6 +272,13 @@ def _beside(at: Refit, candidate: Candidate, rest: Disturbance) -> Disturbance:
     order = np.argsort(x)
     values = rest.values + size * np.interp(rest.knots, x[order], y[order])
     return replace(rest, marginal=replace(rest.marginal, coefficients=values))
+
+
+def _is_contradicted(found: Found, s: SurrogateSettings) -> bool:
+    """Return whether data held out are predicted worse with a term, by more than chance, and it explains the lesser
+    part of the misfit."""
+    gain, explained = found.held_out, found.explained
+    return explained is not None and gain.gain < -gain.deviation and explained.part < s.most
 
 
 def _is_sure(found: Found, sure: float) -> bool:

@@ -72,6 +72,12 @@ class Candidate(ABC):
         return False
 
     @property
+    def is_profiled(self) -> bool:
+        """Return whether fits with its one shape held at several values are to say where to begin: the likelihood along
+        it has several maxima, over which steps of an estimation go."""
+        return False
+
+    @property
     def jumps(self) -> bool:
         """Return whether it jumps along the motion, for which a fit takes many iterations."""
         return False

@@ -405,6 +405,10 @@ class DeadBand(_Limited):
     stage: int = 1
 
     @property
+    def is_profiled(self) -> bool:
+        return True
+
+    @property
     def jumps(self) -> bool:
         return bool(self.rate)
 
@@ -427,6 +431,10 @@ class Saturation(_Limited):
     stage: int = 2
     least = 0.1
     words = "large deflections of {name}{about} are cut off (saturation)"
+
+    @property
+    def is_profiled(self) -> bool:
+        return True
 
     def grid(self) -> Iterable[float]:
         return self.scales.peak(self.place.name) * np.array([0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2])

@@ -124,10 +124,11 @@ def refit(
     points: Sequence[Points] = (),
     patient: bool = False,
     measured: bool = False,
+    held: Collection[str] = (),
 ) -> Refit | None:
     """Return the base model with candidates, fitted from the values in ``starts`` and a fit nearby; new states from
     what the candidates say of them at ``points``. ``measured``: the path begins at the measurements instead, which
-    takes many iterations.
+    takes many iterations. ``held``: parameters that stay as in ``starts``.
 
     None where there is no such model or the solver does not come to an end.
     """
@@ -136,6 +137,9 @@ def refit(
         for candidate in sorted(candidates, key=lambda c: c.stage):
             own = {n: starts[n] for n in candidate.parameters if n in starts}
             model = candidate.extended(model, own)
+        if held:
+            declared = model.declared_parameters
+            model = model.with_parameters({n: replace(declared[n], start=starts[n], fixed=True) for n in held})
         if model.delays:
             model = model._changed(delays=replace(model.delays, settled=_SETTLED, passes=_PASSES))
         from_fit = started_from(near or base, model.parameter_names)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextvars import copy_context
 from dataclasses import dataclass
 
@@ -29,6 +29,8 @@ _Array = NDArray[np.float64]
 # power of the base's residuals or more to first order, for small effects are nearly linear.
 # Where it is so evident, they begin at all of them, be the first ends alike.
 _STARTS, _LARGE, _EVIDENT = (0.4, 1.6, 0.25, 0.65), 0.1, 0.3
+# Parts of a value of first order at which a shape is held in turn.
+_PROFILE = (0.4, 0.6, 0.8, 1.0, 1.3, 1.7)
 # Part of an output's variance that a fit leaves with which next to nothing about it is true.
 _USELESS = 0.5
 # Two ends at the likeliest optimum so far, alike to this in log-likelihood, or so many starts that come to no end,
@@ -253,7 +255,7 @@ class RefitCache:
             elif last is not None and last.unit_amplitude and not last.several_starts and len(last.shapes) > 2:
                 for k in (0, len(last.shapes) // 2):
                     best = best or refit(self.base.fit, candidates, {**starts, **last.shapes[k]}, near, points)
-        ends = [best]
+        ends = [best, *self._profiled(candidates, starts, near, much)]
         # About a path that has little to do with the measured one a refit may end where the base did.
         lost = self._unexplained and (best is None or _unexplained(best.fit, self._unexplained))
         jumping = left > _LARGE and any(c.begins_measured and c.shape_names[0] not in known for c in candidates)
@@ -282,6 +284,30 @@ class RefitCache:
                 ends.append(refit(self.base.fit, candidates, {**starts, **shape}, near, points))
                 failed += ends[-1] is None
         return _best(ends)
+
+    def _profiled(
+        self,
+        candidates: Sequence[Candidate],
+        starts: Mapping[str, float],
+        near: FitResult | None,
+        much: Collection[str],
+    ) -> list[Refit]:
+        """Return the refit of a set that begins at the likeliest of several values at which the shape of its last
+        candidate is held, where this is to be asked and the candidate explains much; empty else."""
+        last = candidates[-1] if candidates else None
+        if last is None or not last.is_profiled or last.name not in much:
+            return []
+        (name,) = last.shape_names
+        if name not in starts or (near is not None and name in near.parameters):
+            return []
+        points, base = self.base.linear.points, self.base.fit
+        values = [{**starts, name: part * starts[name]} for part in _PROFILE]
+        along = _best([refit(base, candidates, each, near, points, held=[name]) for each in values])
+        if along is None:
+            return []
+        begin = float(along.fit.model.declared_parameters[name].start)
+        found = refit(base, candidates, {**starts, name: begin}, along.fit, points)
+        return [found] if found is not None else []
 
     def _left(self, near: FitResult | None) -> float:
         """Return the part of the power of the base's residuals that a fit leaves in the output with the most."""

@@ -134,8 +134,6 @@ class SurrogateSettings:
                 better answer.
     persistent  autocorrelation of an output's residuals over a lag in which the output itself hardly moves, from which
                 on they are a motion rather than noise of a sensor (`persistence`).
-    little      part of the misfit that all named terms explain together at most, below which ``lasting`` is enough of
-                that autocorrelation.
     whole       part of the misfit of data held out that terms explain, from which on they are not compared with it
                 further.
     deviation   standard errors by which a parameter of a term may change when data held out are added.
@@ -149,8 +147,6 @@ class SurrogateSettings:
     most: float = 0.5
     sure: float = 0.8
     persistent: float = 0.94
-    little: float = 0.2
-    lasting: float = 0.85
     whole: float = 0.9
     deviation: float = 4.0
     margin: float = 8.0
@@ -186,11 +182,9 @@ def _outweighed(
 ) -> list[Candidate]:
     """Return the terms that leave more of the misfit, as a motion, than they explain."""
     unknown = remainder is not None and remainder.is_unknown
-    together = search.assessment.explained(search.cache.base, result.final)
-    # Where nearly all of the misfit is left, less persistence shows that it is no noise.
-    little = together is not None and together.interval[1] < s.little
-    if not (unknown or is_motion(result.final, s.lasting if little else s.persistent)):
+    if not (unknown or is_motion(result.final, s.persistent)):
         return []
+    together = search.assessment.explained(search.cache.base, result.final)
     doubtful = together is None or together.interval[0] < s.most
     # A function that has no name is the better part of the answer where it is so much likelier.
     gain = remainder.gain if remainder is not None and unknown else -np.inf

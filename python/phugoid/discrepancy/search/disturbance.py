@@ -164,16 +164,13 @@ def _hypotheses(at: Refit, known: Collection[str], white: bool) -> Iterator[Dist
         rough += found[:1]
         yield from found
     for best in sorted(rough, key=lambda h: -h.merit)[:_LIKELY]:
-        finest, gain = best, np.inf
+        finest = best
         for count in _FINER:
-            # Each refinement gains less than the one before: one that cannot reach coloured noise so is not made.
-            reach = finest.merit + gain
-            if count >= 2 * samples or count**2 * linear.n_rows > _PRODUCTS or reach < at.merit:
+            if count >= 2 * samples or count**2 * linear.n_rows > _PRODUCTS:
                 break
             found = _histories(linear, best.place, noise, min(count, samples), finest)
             yield from found
-            before, finest = finest, max([finest, *found], key=lambda h: h.merit)
-            gain = finest.merit - before.merit
+            finest = max([finest, *found], key=lambda h: h.merit)
         if white:
             continue
         event = _event(linear, finest, noise)

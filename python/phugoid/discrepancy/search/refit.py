@@ -364,7 +364,7 @@ def on_other_data(
     for start in starts:
         # From another model's path, or where only initial states are wrong, few iterations lead to this model's.
         few = best is not None or start is not starts[-1]
-        solver = Newton(max_iterations=_ITERATIONS if few else _FROM_MEASURED, time_limit=limit)
+        solver = Newton(max_iterations=_ITERATIONS, time_limit=limit) if few else Newton(time_limit=limit)
         try:
             found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)
         except EvaluationError as error:  # a root of a level that noise takes below zero, say

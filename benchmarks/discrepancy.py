@@ -45,7 +45,7 @@ GROUPS = {
 
 
 def outcomes(seeds, processes, work):
-    """What ``work`` makes of each seed, as they come."""
+    """Yield what ``work`` makes of each seed, as they come."""
     if processes == 1:
         yield from map(work, seeds)
         return

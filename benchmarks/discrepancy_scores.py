@@ -21,7 +21,7 @@ NAMES = 4
 STATUSES = ("named", "surrogate")
 
 RATES = (1, 2, 4)
-"""Of the outputs one sample in so many is kept."""
+"""Keep one sample of the outputs in so many."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ const POLL: Duration = Duration::from_millis(10);
 
 type Job<'a> = Box<dyn FnOnce(Python<'_>) -> PyResult<()> + Send + 'a>;
 
-/// Of one type whatever the work returns: the code of a channel is as long as that of many a work.
+/// Asks the thread that waits, or tells it of the end. One type serves whatever the work returns: the code of a channel is long.
 enum Message<'a> {
     /// To be done on the thread that waits, which then tells whether to go on.
     Do(Job<'a>, Sender<bool>),

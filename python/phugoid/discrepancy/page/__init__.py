@@ -205,7 +205,7 @@ def finding_lines(finding: Finding) -> list[str]:
         ]
         doubted = "is not proved" if finding.ringing else "does not predict held-out data"
         told = "The data do not distinguish it from" if finding.cause else f"What fits, but {doubted}"
-        if (finding.curve or finding.surface) and not finding.cause:
+        if finding.is_drawn and not finding.cause:
             told = "Name of this candidate"
         lines.append(f"{told}: {', '.join(others)}.")
     if finding.advice:

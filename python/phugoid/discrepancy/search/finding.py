@@ -132,7 +132,7 @@ class Finding:
 
     @property
     def is_drawn(self) -> bool:
-        """Whether there is a curve or a surface to draw."""
+        """Return whether there is a curve or a surface to draw."""
         return bool(self.curve or self.surface)
 
     def cells(self) -> dict[str, str]:

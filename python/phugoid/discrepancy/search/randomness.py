@@ -1,4 +1,4 @@
-"""Whether a time history that was found at a place of the model is random: noise does not know of what moves.
+"""Test whether a time history that was found at a place of the model is random: noise does not know of what moves.
 
 Unmodelled dynamics answer the motion and the inputs, and what is no stationary random disturbance occurs in bursts, or
 in few of its independent components. (Tests of independence between residuals and past inputs: Ljung 1999, section

@@ -29,7 +29,7 @@ from .disturbance import (
     powers_of,
 )
 from .free_run import LEAST, Explained, Misfitting, Simulated
-from .other_laws import formula, terms_of, unknown_function
+from .other_laws import UnknownFunction, formula, terms_of, unknown_function
 from .process_noise import FilterErrorRefit, filtered, filtered_elsewhere, single_event
 from .randomness import goes_with_motion, in_a_tenth, parts_predicted, past_inputs, products_of_motion
 from .refit import Refit, fitted_to, is_structured
@@ -247,7 +247,7 @@ def _function(
         tried.append((o.at, o.disturbance.place, o.disturbance.variables, least))
     for c in final.candidates:
         if isinstance(c, Effect) and is_function(c):
-            alike = [o for o in terms_of(full, c.place, *c.variables) if is_function(o)]
+            alike = [o for o in terms_of(full, c.place, c.variables) if is_function(o)]
             if len(alike) == 1:
                 tried.append((full, c.place, c.variables, least))
                 continue
@@ -269,13 +269,15 @@ def _function(
             named = formula(search, found)
             if named is not None and {*named.names} <= {*full.names}:
                 return None  # it has been found
-            nan, explained = float("nan"), found.explained
-            # Over the model with none of what it stands in the place of.
-            gain = found.fitted.merit - found.unknowns - found.without.merit
-            return Remainder(
-                found.curve, found.without, gain, nan, explained=explained, fitted=found.fitted, known=named
-            )
+            return _of_function(found, named)
     return None
+
+
+def _of_function(found: UnknownFunction, known: Refit | None = None) -> Remainder:
+    """Return a function as what is left; ``known``: the fit with a candidate that explains as much."""
+    # Over the model with none of what it stands in the place of.
+    gain, nan = found.fitted.merit - found.unknowns - found.without.merit, float("nan")
+    return Remainder(found.curve, found.without, gain, nan, explained=found.explained, fitted=found.fitted, known=known)
 
 
 def _function_of_two(
@@ -290,10 +292,7 @@ def _function_of_two(
     if likeliest is None or likeliest.merit < at.merit + s.margin:
         return None
     found = unknown_function(search, at, result, likeliest.place, likeliest.variables)
-    if found is None or found.gain < s.margin:
-        return None
-    gain = found.fitted.merit - found.unknowns - found.without.merit
-    return Remainder(found.curve, found.without, gain, float("nan"), explained=found.explained, fitted=found.fitted)
+    return None if found is None or found.gain < s.margin else _of_function(found)
 
 
 def _likeliest_place(

@@ -14,7 +14,7 @@ use crate::solver::Point;
 
 /// Most products: with more of them each costs more than it tells.
 const MOST: usize = 60;
-/// What is left of a column (squared) when its products are taken away is rounding below this part of it.
+/// Part of a column (squared) below which what its products leave of it is rounding.
 const ROUNDING: f64 = 1e-20;
 
 /// A product of two free variables, numbered among these.

@@ -56,7 +56,7 @@ pub(super) struct Equations {
 }
 
 impl Equations {
-    /// From a symmetric matrix, of which the lower triangle is used, and a right-hand side.
+    /// Makes the equations from a symmetric matrix, of which the lower triangle is used, and a right-hand side.
     pub fn new(mut a: DMatrix<f64>, b: DVector<f64>) -> Equations {
         let k = b.len();
         let scale = DVector::from_fn(k, |i, _| if a[(i, i)] > 0.0 { a[(i, i)].sqrt().recip() } else { 1.0 });

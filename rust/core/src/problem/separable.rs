@@ -43,7 +43,7 @@ impl Posed {
         all.filter(|&(i, j)| multiplied(i, j)).map(|(i, j)| (VariableId(i), VariableId(j))).collect()
     }
 
-    /// Whether a second derivative of f or g by two parameters is other than 0, row by row.
+    /// Returns, row by row, whether a second derivative of f or g by two parameters is other than 0.
     fn meets(&self) -> Vec<bool> {
         let (n_x, n) = (self.state_names.len(), self.n_seen());
         let mut meets = vec![false; n * n];

@@ -231,13 +231,15 @@ def levels_of(values: _Array) -> int:
     span = float(np.ptp(values))
     if not span > 0.0:
         return 0
-    counts = np.unique(np.round((values - values.min()) / (_SAME * span)), return_counts=True)[1] / values.size
+    counts = np.unique(np.round((values - values.min()) / (_SAME * span)), return_counts=True)[1]
+    # Most of the time an input may rest at its trim: what levels it has beside that is told by the other samples.
+    counts = np.delete(counts, np.argmax(counts)) / (values.size - counts.max())
     often = counts[counts > _OFTEN]
-    return int(often.size) if often.sum() > 1.0 - _PASSING else 0
+    return 1 + int(often.size) if often.sum() > 1.0 - _PASSING else 0
 
 
-# Of a variable's range: values nearer to each other are one level; of all samples: what a level has, and what lies
-# between levels.
+# Of a variable's range: values nearer to each other are one level; of the samples beside the most frequent level: what
+# a level has, and what lies between levels.
 _SAME, _OFTEN, _PASSING = 1e-3, 0.05, 0.1
 
 # Transport delays of actuators, air data and telemetry; slower ones would have been noticed.

@@ -275,10 +275,13 @@ class Screen:
 
     def rivals(self, at: Refit, candidate: Candidate, filter: Filter, best: int, alike: int) -> list[Candidate]:
         """Candidates that may stand in a candidate's place beside those of ``at``: some of the best through a filter,
-        and some whose effect is nearly the same; where the misfit is evident, other functions of the same variable."""
+        and some whose effect is nearly the same, of those in the path of an input as many again: powers of an input,
+        which act alike, are many; where the misfit is evident, other functions of the same variable."""
         scan = self._cache.scan(at)
         statistics = scan.through(filter)
-        found = [*self._best(scan, statistics, best), *self._alike(scan, statistics, candidate)[:alike]]
+        near = self._alike(scan, statistics, candidate)
+        found = [*self._best(scan, statistics, best), *near[:alike]]
+        found += [c for c in near[alike:] if c.place.kind == "input"][:alike]
         if isinstance(candidate, Effect) and is_function(candidate) and self._is_evident:
             # What a large term does is not what it does to first order: functions of one variable part there.
             (variable,) = candidate.variables

@@ -26,6 +26,8 @@ pub(super) struct ActiveSet {
     border: usize,
     /// The state that was held last.
     last: Option<usize>,
+    /// Degrees of freedom: of the variables as many more than equations.
+    freedom: usize,
 }
 
 impl ActiveSet {
@@ -43,6 +45,7 @@ impl ActiveSet {
             profiled: 0..0,
             border: program.nlp.n_parameters().min(n),
             last: None,
+            freedom: n.saturating_sub(program.nlp.m()),
         }
     }
 
@@ -66,9 +69,10 @@ impl ActiveSet {
         self.profiled = profiled;
     }
 
-    /// Most rounds of changes.
+    /// Most rounds of changes. The equations leave no more variables to be held than there are degrees of freedom: with
+    /// bounds on thousands of states more rounds would only hold some of these in turn.
     pub fn rounds(&self) -> usize {
-        if self.bounded.is_empty() { 0 } else { 3 * self.bounded.len() + 10 }
+        if self.bounded.is_empty() { 0 } else { 3 * self.bounded.len().min(self.freedom) + 10 }
     }
 
     /// Whether a variable is held at a bound.

@@ -198,6 +198,15 @@ def test_numbers_for_noise_are_told_what_to_write() -> None:
         ph.multistart(lag(), lag_record(20), {"a": (-1, 0)}, n=2, noise=0.1)  # type: ignore[arg-type]
 
 
+def test_quantities_without_effect_are_reported_and_no_candidates() -> None:
+    model = lag()
+    x, a = (ph.Expr.symbol(name) for name in ("x", "a"))
+    model.quantities(drag=a * x)
+    assert model.unused_quantities == ("drag",)
+    assert any("uses the quantity drag" in text for text in ph.estimate(model, lag_record(20)).warnings)
+    assert not [c.name for c in ph.candidates(model) if c.name.startswith("drag:")]
+
+
 def test_sources_that_are_not_built_say_what_to_run(tmp_path: Path) -> None:
     (tmp_path / "phugoid").mkdir()
     shutil.copy(str(ph.__file__), tmp_path / "phugoid")

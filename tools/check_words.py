@@ -55,7 +55,7 @@ def faults(path: Path) -> Iterator[str]:
 def pages(root: Path) -> Iterator[Path]:
     """Yield the pages of the documentation, and the templates of reports."""
     yield from (page for page in [root / "README.md"] if page.is_file())
-    yield from sorted((root / "docs").rglob("*.md"))
+    yield from (page for page in sorted((root / "docs").rglob("*.md")) if page.name != "words.md")  # it lists them
     yield from sorted((root / "python" / "phugoid" / "templates").glob("*.html"))
 
 

@@ -68,7 +68,9 @@ def _of_residuals(fit: FitResult) -> list[str]:
         )
     if off:
         what = "Innovations" if filtered else "Residuals"
-        found.append(f"{what} of {_listed(off)} are mostly a constant offset: a bias is missing, or off.")
+        found.append(
+            f"{what} of {_listed(off)} are mostly a constant offset: the model has no bias there, or a wrong one."
+        )
     return found
 
 

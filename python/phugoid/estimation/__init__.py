@@ -177,6 +177,9 @@ def _estimate(
     if absent := [f"'{e.name}' without {', '.join(sorted(e._unmeasured))}" for e in experiments if e._unmeasured]:
         listed = "; ".join(absent[:5]) + ("; ..." if len(absent) > 5 else "")
         fit = replace(fit, warnings=(*fit.warnings, f"not every experiment measures all outputs: {listed}"))
+    if unused := model.unused_quantities:
+        text = f"no equation uses the quantity {', '.join(unused)}: write its symbol where it acts, or leave it out"
+        fit = replace(fit, warnings=(*fit.warnings, text))
     if isinstance(start, FitResult) and (worse := _worse_than_start(fit, start)):
         fit = replace(fit, warnings=(worse, *fit.warnings))
     return fit

@@ -323,6 +323,13 @@ class Model:
         """Conditions on the ends of records: the end ("initial", "final" or "periodic"), the state, the expression."""
         return tuple((end, state, e) for end, state, e, _ in self._core.conditions)
 
+    @property
+    def unused_quantities(self) -> tuple[str, ...]:
+        """Names of the quantities whose symbols stand in no other expression of the model."""
+        expressions = [*self.equations.values(), *self._noise.expressions.values()]
+        used = {s for e in (*expressions, *(e for *_, e in self.end_conditions)) for s in e.symbols}
+        return tuple(name for name in self.quantity_names if name not in used)
+
     def quantity_expressions(self) -> dict[str, Expr]:
         """Return the quantities by name, with the preceding ones substituted into each."""
         known: dict[str, Any] = {}

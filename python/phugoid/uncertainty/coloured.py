@@ -76,12 +76,12 @@ class CorrectedErrors:
             corrected = "" if math.isnan(e.std_error) else f"{e.std_error:.2g}"
             ratio_text = "" if math.isnan(ratio) else f"{ratio:.2f}"
             value = plus_minus(e.value, e.std_error).partition(" ± ")[0]
-            rows.append([name, value, error, corrected, ratio_text, e.unit])
-        heads = ["parameter", "estimate", "std error", "corrected", "ratio", "unit"]
+            rows.append([name, value, error, corrected, ratio_text, e.unit, e.remark])
+        heads = ["parameter", "estimate", "std error", "corrected", "ratio", "unit", "remark"]
         noise = [
             [n, f"{r[1] if r.size > 1 else 0.0:.2f}", f"{self.times[n]:.3g}"] for n, r in self.autocorrelation.items()
         ]
-        return (heads, rows, "lrrrrl"), (["noise of", "lag-1", self.time_unit.axis("correlation time")], noise, "lrr")
+        return (heads, rows, "lrrrrll"), (["noise of", "lag-1", self.time_unit.axis("correlation time")], noise, "lrr")
 
     def __str__(self) -> str:
         return self.summary()

@@ -69,7 +69,7 @@ class ModelStructure:
         )
         self._parameters = {*model.parameter_names}
         first = base or model
-        known = {*first.state_names, *first.quantity_names}
+        known = {*first.state_names, *first.quantity_names}.difference(model.unused_quantities)
         uncertain = {n for n, e in self.quantities.items() if self._parameters.intersection(e.symbols)}
         derived: set[str] = set()  # from parameters, by whatever way
         for name, e in self.quantities.items():

@@ -244,7 +244,7 @@ def _draw_time(axis: Axes, c: ChannelMisfit, record: Record, *, first: bool, roo
         axis.set_title(plain(name), fontsize=6.5, loc="left", pad=2.0)
         axis.locator_params(axis="x", nbins=max(2, room // 9))
     if first:
-        axis.set_ylabel(plain(labelled("residual", {"residual": c.unit})))
+        axis.set_ylabel(plain(labelled("residual", {"residual": c.unit})), fontsize=7.0)
     else:
         axis.tick_params(labelleft=False)
 

@@ -183,13 +183,13 @@ def _draw_autocorrelation(axis: Axes, series: Series) -> None:
     axis.plot(lags, rho, ".", color=MEASURED, ms=2.5 if lags.size < 40 else 1.6)
     axis.set_ylim(min(-0.4, 1.15 * float(rho.min())), 1.08)
     axis.margins(x=0.03)
-    said = f"lag 1: {rho[1]:.2f}" if rho.size > 1 else ""
-    if _uneven(series):
-        said += "; uneven times"
+    if rho.size > 1:
+        axis.set_title(f"lag 1: {rho[1]:.2f}".replace("-", "−"), fontsize=6.5, loc="right", pad=1.5)
+    # Within the axes, which have room at large lags: beside the title of a narrow panel there is none.
+    said = ["uneven times"] if _uneven(series) else []
     if series.outliers.size:
-        said += "\n" if len(said) > 20 else "; "
-        said += f"{series.outliers.size} outlier{'s' * (series.outliers.size > 1)} left out"
-    axis.set_title(said.replace("-", "−"), fontsize=6.5, loc="right", pad=1.5)
+        said.append(f"{series.outliers.size} outlier{'s' * (series.outliers.size > 1)} left out")
+    axis.text(1.0, 0.97, "\n".join(said), ha="right", va="top", fontsize=6.5, transform=axis.transAxes)
 
 
 def _draw_spectrum(axis: Axes, series: Series, unit: str) -> None:

@@ -326,7 +326,7 @@ def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
         outcome=outcome(diagnosis),
         explained=_explained(diagnosis),
         wrong=_wrong(diagnosis),
-        causes=[_cause(finding, diagnosis.fit.model.time_unit) for finding in diagnosis.findings],
+        causes=[_cause(f, diagnosis.fit.model.time_unit) for f in diagnosis.findings if f.cause or f.is_drawn],
         tried=len(diagnosis.ranking),
         threshold=diagnosis.threshold,
         evidence=_evidence(diagnosis) if diagnosis.ranking else None,
@@ -454,18 +454,18 @@ def _gain(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[str, A
 
 
 def _open(diagnosis: Any) -> list[str]:
-    """Return what these data leave open, in sentences."""
+    """Return what these data leave open, in sentences, without what the page says of the causes."""
     findings = diagnosis.findings
-    texts = [line for f in findings if not f.cause for line in finding_lines(f)]
+    texts = [line for f in findings if not (f.cause or f.is_drawn) for line in finding_lines(f)]
     surrogates = [f.cause for f in findings if f.status == "surrogate" and f.cause]
     if surrogates:
         texts.append(f"{', '.join(surrogates)} may represent a cause that is not among the candidates.")
     for f in findings:
         if f.cause and f.aliases:
-            texts.append(f"These data do not show which of {', '.join([f.cause, *f.aliases])} is the cause. {f.advice}")
+            texts.append(f"These data do not show which of {', '.join([f.cause, *f.aliases])} is the cause.")
     if not texts and outcome(diagnosis) == "unexplained":
         texts.append("What causes the structure of the residuals is not established.")
-    return texts
+    return list(dict.fromkeys(texts))
 
 
 def _tried(diagnosis: DiagnosisResult) -> str:

@@ -13,8 +13,9 @@ from ...errors import joined
 from ...sensitivities.linearised import Linearised
 from ...time_unit import TimeUnit
 from ..candidates.candidate import Candidate, Effect, added_by_centre
+from .admissibility import is_physical
 from .confirmation import Confirmation, ConfirmationSettings, Found, Refitting, RefittingSettings
-from .evidence import Assessment, AssessmentSettings, is_physical
+from .evidence import Assessment, AssessmentSettings
 from .finding import ExtensionResult, Gain
 from .refit import HeldOut, Refit, is_structured
 from .refit_cache import RefitCache

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..candidates.candidate import Candidate
 from ..candidates.variation import CommonJump
-from .evidence import Assessment, Evidence, is_physical
+from .admissibility import is_physical
+from .evidence import Assessment, Evidence
 from .free_run import Explained
 from .refit import HeldOut, Refit, is_structured
 from .refit_cache import RefitCache

@@ -9,13 +9,10 @@ from functools import cache
 import numpy as np
 
 from ...residual_noise.whitening import Whitening
-from ...sensitivities import Place
 from ...sensitivities.whitened import Whitened
-from ..candidates.candidate import Candidate, Effect, place_range
-from ..candidates.model_structure import addends
-from ..candidates.scales import evaluated
+from ..candidates.candidate import Candidate, Effect
 from ..candidates.terms import Periodic
-from .feedback import follows_noise
+from .admissibility import follows_noise, is_determined, is_physical, is_plausible
 from .free_run import Explained, Misfitting, Simulated
 from .refit import HeldOut, LeftOut, Refit, across_blocks, gain_on_other_data, is_structured
 from .refit_cache import RefitCache
@@ -27,9 +24,6 @@ __all__ = [
     "AssessmentSettings",
     "Evidence",
     "chi_square_quantile",
-    "is_determined",
-    "is_physical",
-    "is_plausible",
 ]
 
 # Families of candidates that depend on the time in a record alone.
@@ -428,55 +422,6 @@ class Assessment:
             return False
         tones = [at.fit.parameters[n].value / (2.0 * np.pi) for n in candidate.shape_names]
         return any(is_near(tone, f) for tone in tones for f in ringing.frequencies)
-
-
-def is_physical(at: Refit, candidate: Candidate) -> bool:
-    """Return whether all parameters of a candidate lie within what is physical, or have a reason not to."""
-    limits = candidate.physical(at.linear.points)
-    values = {n: at.own.parameter(n)[0] for n in limits}
-
-    def are_within(wider: float) -> bool:
-        by = {n: wider if n in candidate.coefficients else 1.0 for n in limits}
-        return all(by[n] * low <= values[n] <= by[n] * high for n, (low, high) in limits.items())
-
-    return are_within(1.0) or are_within(_cancelling(at, candidate.place)) or candidate.has_reason(values)
-
-
-# Part of the misfit that a cause of any size explains which leaves nothing but noise.
-_ALL, _NOISE = 0.95, 0.05
-
-
-def is_plausible(at: Refit, candidate: Candidate, explained: Explained | None) -> bool:
-    """Return whether a candidate is of a size that is physical, or leaves nothing but noise of a large misfit, in free
-    simulation too: where large parts of an equation balance each other, one of them is large beside what is left."""
-    if is_physical(at, candidate):
-        return True
-    return explained is not None and explained.interval[0] >= _ALL and not is_structured(at, _NOISE)
-
-
-# Families with a size that says nothing where its error is larger: such a lag or limit holds an input where it was.
-_SIZED = ("lag", "rate_limit", "backlash", "deadband", "saturation")
-
-
-def is_determined(at: Refit, candidate: Candidate) -> bool:
-    """Return whether the data determine the size of a lag or of a limit. If it may have any size, it only shows that
-    its input has no effect."""
-    if getattr(candidate, "family", "") not in _SIZED or not candidate.shape_names:
-        return True
-    value, error = at.parameters(candidate)[candidate.shape_names[0]]
-    return not error > abs(value)
-
-
-def _cancelling(at: Refit, place: Place) -> float:
-    """Return how much more a known part of what stands at a place varies than all of it: where known parts nearly
-    cancel each other, as a turn rate and gravity in the sideslip of a turn, others may be as large; 1 at least."""
-    if place.kind not in ("equation", "quantity"):
-        return 1.0
-    model, points = at.fit.model, at.linear.points
-    known = {*model.state_names, *model.declared_inputs}
-    sums = [e for e in addends(model._right_hand_sides()[place.kind, place.name]) if known.issuperset(e.symbols)]
-    spans = [float(np.ptp(np.concatenate([evaluated(e, p) for p in points]))) for e in sums if e.symbols]
-    return max([1.0, *(span / place_range(place, points) for span in spans)])
 
 
 @cache

@@ -18,8 +18,8 @@ from ..candidates.candidate import Candidate
 from ..candidates.terms import where
 from ..misfit.phrases import number, percent
 from . import SearchResult
+from .admissibility import is_plausible
 from .confirmation import Found
-from .evidence import is_plausible
 from .finding import DiagnosisResult, ExtensionResult, Finding, Gain
 from .free_run import Explained
 from .record_change import RecordChange

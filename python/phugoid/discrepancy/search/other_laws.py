@@ -25,8 +25,8 @@ from ..candidates.candidate import Candidate, Effect, is_function
 from ..candidates.scales import Scales
 from ..candidates.terms import tabulated, where
 from . import Search, SearchResult
+from .admissibility import is_physical
 from .disturbance import Disturbance, hats, likeliest_function
-from .evidence import is_physical
 from .free_run import Explained, Misfitting, Simulated
 from .refit import Refit, fitted_to, on_other_data, refit, started_from
 from .segments import short_segments

@@ -1,4 +1,4 @@
-"""Noise of a sensor that a controller feeds back into the inputs.
+"""Whether a term can be a cause at all: whether its size is physical, the data determine it, and it follows no noise.
 
 Where a controller acts on a measurement, the input has a part that follows the noise of that measurement at the same
 sample. A term of the input in that output then seems to predict the noise; but the input follows the noise, and not the
@@ -12,10 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...residual_noise.whitening import Whitening
-from ..candidates.candidate import Candidate
-from .refit import Refit
+from ...sensitivities import Place
+from ..candidates.candidate import Candidate, place_range
+from ..candidates.model_structure import addends
+from ..candidates.scales import evaluated
+from .free_run import Explained
+from .refit import Refit, is_structured
 
-__all__ = ["follows_noise"]
+__all__ = ["follows_noise", "is_determined", "is_physical", "is_plausible"]
 
 _Array = NDArray[np.float64]
 
@@ -71,3 +75,52 @@ def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
 def _lagged(x: _Array) -> _Array:
     """Return the values (n - lags, lags) before each value but the first ones."""
     return np.lib.stride_tricks.sliding_window_view(x, _LAGS)[: x.size - _LAGS]
+
+
+def is_physical(at: Refit, candidate: Candidate) -> bool:
+    """Return whether all parameters of a candidate lie within what is physical, or have a reason not to."""
+    limits = candidate.physical(at.linear.points)
+    values = {n: at.own.parameter(n)[0] for n in limits}
+
+    def are_within(wider: float) -> bool:
+        by = {n: wider if n in candidate.coefficients else 1.0 for n in limits}
+        return all(by[n] * low <= values[n] <= by[n] * high for n, (low, high) in limits.items())
+
+    return are_within(1.0) or are_within(_cancelling(at, candidate.place)) or candidate.has_reason(values)
+
+
+# Part of the misfit that a cause of any size explains which leaves nothing but noise.
+_ALL, _WHITE = 0.95, 0.05
+
+
+def is_plausible(at: Refit, candidate: Candidate, explained: Explained | None) -> bool:
+    """Return whether a candidate is of a size that is physical, or leaves nothing but noise of a large misfit, in free
+    simulation too: where large parts of an equation balance each other, one of them is large beside what is left."""
+    if is_physical(at, candidate):
+        return True
+    return explained is not None and explained.interval[0] >= _ALL and not is_structured(at, _WHITE)
+
+
+# Families with a size that says nothing where its error is larger: such a lag or limit holds an input where it was.
+_SIZED = ("lag", "rate_limit", "backlash", "deadband", "saturation")
+
+
+def is_determined(at: Refit, candidate: Candidate) -> bool:
+    """Return whether the data determine the size of a lag or of a limit. If it may have any size, it only shows that
+    its input has no effect."""
+    if getattr(candidate, "family", "") not in _SIZED or not candidate.shape_names:
+        return True
+    value, error = at.parameters(candidate)[candidate.shape_names[0]]
+    return not error > abs(value)
+
+
+def _cancelling(at: Refit, place: Place) -> float:
+    """Return how much more a known part of what stands at a place varies than all of it: where known parts nearly
+    cancel each other, as a turn rate and gravity in the sideslip of a turn, others may be as large; 1 at least."""
+    if place.kind not in ("equation", "quantity"):
+        return 1.0
+    model, points = at.fit.model, at.linear.points
+    known = {*model.state_names, *model.declared_inputs}
+    sums = [e for e in addends(model._right_hand_sides()[place.kind, place.name]) if known.issuperset(e.symbols)]
+    spans = [float(np.ptp(np.concatenate([evaluated(e, p) for p in points]))) for e in sums if e.symbols]
+    return max([1.0, *(span / place_range(place, points) for span in spans)])

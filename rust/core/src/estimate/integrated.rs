@@ -91,18 +91,12 @@ impl Estimation<'_> {
         let no_solution = !fit.feasible && integrated.is_finite();
         let differs = no_solution || (integrated - fit.log_likelihood).abs() > DIFFERENT;
         let may_refine = self.refine.is_some() || self.follows_motion();
-        // On a given mesh, too, "infeasible" would be wrong where there is a solution.
-        let may_end = no_solution && fit.status == Status::Infeasible && self.own_solver.is_none();
-        if !differs || !(may_refine || may_end) || fit.status.was_stopped() || current().stops() {
+        if !differs || !may_refine || fit.status.was_stopped() || current().stops() {
             return Ok(());
         }
         let is_as_likely =
             |finer: &Fit| finer.feasible && finer.integrated.is_some_and(|l| l > integrated - DIFFERENT);
-        let finer = match may_refine {
-            true => self.along_the_motion(&self.values_of(fit), f64::NEG_INFINITY, FINEST, watch)?,
-            false => None,
-        };
-        if let Some(mut finer) = finer {
+        if let Some(mut finer) = self.along_the_motion(&fit.values(), f64::NEG_INFINITY, FINEST, watch)? {
             self.compare_with_integration(&mut finer);
             if is_as_likely(&finer) {
                 finer.iterations += fit.iterations;
@@ -125,7 +119,7 @@ impl Estimation<'_> {
     fn at_the_motion(&self, fit: &Fit, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
         let solver = Settings { max_iterations: 0, ..self.solver.clone() };
         let held = Estimation { solver, ..self.clone() };
-        let still = held.along_the_motion(&self.values_of(fit), f64::NEG_INFINITY, FINEST, watch)?;
+        let still = held.along_the_motion(&fit.values(), f64::NEG_INFINITY, FINEST, watch)?;
         Ok(still.map(|mut still| {
             let is_wrong = fit.status == Status::Infeasible || fit.status.is_end();
             still.status = if is_wrong { Status::IterationLimit } else { fit.status };

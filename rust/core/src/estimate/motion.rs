@@ -45,24 +45,12 @@ impl Estimation<'_> {
 
     /// Whether samples are few, and the parameters tell where the motion begins: then the likelihood is one of the parameters.
     pub(super) fn parameters_tell_motion(&self) -> bool {
-        let known = |state: &str| self.is_told(state) && !self.start.iter().any(|s| s.0 == state);
+        let known = |state: &str| {
+            let mut conditions = self.model.conditions.iter();
+            conditions.any(|c| c.end == End::Initial && c.state == state)
+                && !self.start.iter().any(|s| s.0 == state)
+        };
         self.few_samples() && self.model.states.iter().all(|s| known(&s.name))
-    }
-
-    /// Returns whether a condition of the model tells the initial value of a state.
-    fn is_told(&self, state: &str) -> bool {
-        self.model.conditions.iter().any(|c| c.end == End::Initial && c.state == state)
-    }
-
-    /// Returns the parameters of a fit, and the initial states that no condition tells.
-    pub(super) fn values_of(&self, fit: &Fit) -> Values {
-        let mut values = fit.values();
-        for record in &fit.records {
-            let paths = self.model.states.iter().zip(&record.mesh_states);
-            let free = paths.filter(|(state, _)| !self.is_told(&state.name));
-            values.extend(free.map(|(state, x)| (format!("{}[{}]", state.name, record.name), x[0])));
-        }
-        values
     }
 
     /// Simulates all experiments with some values of the parameters, from the model's initial conditions. None where one of
@@ -78,11 +66,6 @@ impl Estimation<'_> {
             for p in &self.model.parameters {
                 let own = of(&format!("{}[{}]", p.name, run.name)).or_else(|| of(&p.name));
                 simulation = simulation.parameter(&p.name, own.unwrap_or(p.start));
-            }
-            for state in &self.model.states {
-                if let Some(x) = of(&format!("{}[{}]", state.name, run.name)) {
-                    simulation = simulation.initial(&state.name, x);
-                }
             }
             simulation
         };

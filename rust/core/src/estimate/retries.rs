@@ -1,14 +1,10 @@
 //! Other ways to an optimum, where a run from the start ends without one or at a poor one.
 
-use std::time::Duration;
-
-use super::draws::Draws;
+use super::Estimation;
 use super::fit::{Fit, Record};
-use super::motion::Values;
 use super::noise::spread;
 use super::print::short;
 use super::run::Watch;
-use super::{Estimation, Start};
 use crate::error::{Error, ErrorKind};
 use crate::interrupt::current;
 use crate::noise::{Joint, NoiseModel, Scale};
@@ -30,9 +26,6 @@ const WELL: f64 = 0.95;
 /// Fewer residuals do not tell their noise.
 const FEW: usize = 20;
 
-/// Most runs from other parameters.
-const OTHERS: usize = 8;
-
 /// Another way to an optimum from the same start.
 #[derive(Clone, Copy)]
 enum Way {
@@ -40,17 +33,10 @@ enum Way {
     Regression,
     ConsistentPaths,
     ExactHessian,
-    OtherParameters,
 }
 
 impl Way {
-    const ALL: [Way; 5] = [
-        Way::OutputInjection,
-        Way::Regression,
-        Way::ConsistentPaths,
-        Way::ExactHessian,
-        Way::OtherParameters,
-    ];
+    const ALL: [Way; 4] = [Way::OutputInjection, Way::Regression, Way::ConsistentPaths, Way::ExactHessian];
 
     /// Returns whether it takes about as long as a run from the start values.
     fn is_quick(self) -> bool {
@@ -62,7 +48,6 @@ impl Way {
             Way::Regression => "a regression on the initial paths of the states",
             Way::ConsistentPaths => "steps along paths that satisfy the equations",
             Way::ExactHessian => "steps with the exact Hessian",
-            Way::OtherParameters => "runs from other parameters, drawn at random",
             Way::OutputInjection => "estimates with output injection, whose gain falls to zero",
         }
     }
@@ -115,7 +100,6 @@ impl Estimation<'_> {
     fn end_of(&self, way: Way, fit: &Fit, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
         let found = match self.by(way) {
             Some(other) => other.solve_refined(watch).map(Some),
-            None if matches!(way, Way::OtherParameters) => self.with_other_parameters(watch),
             None if self.output_injection && matches!(way, Way::OutputInjection) => {
                 self.led_by_injection(fit, watch)
             }
@@ -125,44 +109,6 @@ impl Estimation<'_> {
             Err(e) if e.kind() == ErrorKind::Evaluation => Ok(None),
             found => found,
         }
-    }
-
-    /// Returns the best of runs from parameters drawn about the start values, of which the first that ends well is the last.
-    fn with_other_parameters(&self, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
-        let parameters = &self.model.parameters;
-        let values: Values = parameters.iter().map(|p| p.name.clone()).zip(self.parameters()?).collect();
-        let any = parameters.iter().any(|p| !p.fixed && !p.local);
-        let mut draws = Draws::new(parameters, &values);
-        let (mut best, mut iterations, mut time): (Option<Fit>, _, _) = (None, 0, Duration::ZERO);
-        for _ in 0..if any { self.restarts.unwrap_or(OTHERS) } else { 0 } {
-            if current().stops() || best.as_ref().is_some_and(|best| !best.is_poor()) {
-                break;
-            }
-            let mut other = self.clone();
-            let drawn = draws.multiplied(&values).into_iter();
-            other.start.extend(drawn.map(|(name, value)| (name, Start::Value(value))));
-            let found = match other.solve_refined(watch) {
-                Err(e) if e.kind() == ErrorKind::Evaluation => continue,
-                found => found?,
-            };
-            iterations += found.iterations;
-            time += found.solution.time;
-            let rank = |fit: &Fit| {
-                (fit.status.is_end(), if fit.feasible { fit.log_likelihood } else { f64::NEG_INFINITY })
-            };
-            let stopped = found.status.was_stopped().then(|| (found.status, found.message.clone()));
-            if best.as_ref().is_none_or(|best| rank(&found) > rank(best)) {
-                best = Some(found);
-            }
-            if let (Some(best), Some(stopped)) = (&mut best, stopped) {
-                (best.status, best.message) = stopped;
-                break;
-            }
-        }
-        Ok(best.map(|mut fit| {
-            (fit.iterations, fit.solution.time) = (iterations, time);
-            fit
-        }))
     }
 
     /// Whether another way may lead elsewhere: not from where a fit ended, where kinks are the reason, where a search from many

@@ -141,8 +141,9 @@ impl<'a> Regression<'a> {
             let mut gained = None;
             while alpha > 0.05 {
                 self.trial.xi.copy_from_slice(&self.here.xi);
-                for (k, d) in step.iter().enumerate() {
-                    self.trial.xi[self.free[k]] = self.moved(k, alpha * d);
+                for (&i, d) in self.free.iter().zip(step.iter()) {
+                    let x = &mut self.trial.xi[i];
+                    *x = self.program.within(i, alpha.mul_add(*d, *x));
                 }
                 if self.trial.evaluate(self.program).is_ok() {
                     std::mem::swap(&mut self.here, &mut self.trial);
@@ -172,13 +173,6 @@ impl<'a> Regression<'a> {
         if !done || astray || self.here.evaluate(self.program).is_err() {
             self.here.copy(&start);
         }
-    }
-
-    /// Returns the free variable of this number after a step. Where the model is linear in a parameter, the step is one of it.
-    pub(super) fn moved(&self, k: usize, step: f64) -> f64 {
-        let (i, x) = (self.free[k], self.here.xi[self.free[k]]);
-        let to = if self.nonlinear[k] { x + step } else { self.nlp.moved(VariableId(i), x, step) };
-        self.program.within(i, to)
     }
 
     /// Squared norm of the column of each free parameter in the scaled Jacobian of the constraints.

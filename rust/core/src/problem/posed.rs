@@ -26,8 +26,6 @@ pub struct Posed {
     pub parameters: IndexVec<VariableId, Parameter>,
     /// Number of variables that are parameters of the model.
     pub n_model_parameters: usize,
-    /// Whether f and g are linear in a parameter of the model of which the variable is the logarithm.
-    pub straight: Vec<bool>,
     /// The parameter and the experiment of each variable.
     pub estimands: Estimands,
     /// The noise model.
@@ -152,7 +150,6 @@ impl Posed {
         // All functions of a point see all parameters, so that θ has one order everywhere.
         let mut graph = compiled.graph.clone();
         let noise_symbols: Vec<Id> = noise_names.iter().map(|name| graph.symbol(name)).collect();
-        let straight = straight(&mut graph.clone(), &seen[..n_model], &compiled);
         let (variables, compiled) = in_variables(&mut graph, &seen[..n_model], compiled);
         let theta: Vec<Id> = variables.iter().chain(&noise_symbols).copied().collect();
         let arguments =
@@ -186,7 +183,6 @@ impl Posed {
 
         let posed = Posed {
             n_model_parameters,
-            straight,
             parameters: parameters.into_iter().collect(),
             estimands,
             noise,
@@ -440,14 +436,6 @@ impl Posed {
         let (f, l) = (&self.f, &self.likelihood);
         [&f.value, &f.jacobian, &f.hessian, &l.value, &l.jacobian, &l.hessian].map(Tape::instructions)
     }
-}
-
-/// Returns of each parameter whether its variable is a logarithm, and the model linear in the parameter.
-fn straight(graph: &mut Graph, parameters: &[Parameter], compiled: &Compiled) -> Vec<bool> {
-    let roots = || compiled.dynamics.iter().chain(&compiled.outputs);
-    let mut linear = |p: Id| roots().all(|&root| graph.hessian(root, &[p]).values.is_empty());
-    let pairs = parameters.iter().zip(&compiled.parameters);
-    pairs.map(|(p, &symbol)| p.transform == Transform::Log && linear(symbol)).collect()
 }
 
 /// The symbols of the variables in place of transformed parameters, and the model written in them.

@@ -35,15 +35,9 @@ impl Posed {
             let (a, b) = (self.estimands.experiment[VariableId(i)], self.estimands.experiment[VariableId(j)]);
             a.is_none() || b.is_none() || a == b
         };
-        let is_plain = |i: usize| self.estimands.transforms[VariableId(i)] != Transform::Log;
         let multiplied = |i: usize, j: usize| {
             let (p, q) = (seen(i), seen(j));
-            is_plain(i)
-                && is_plain(j)
-                && meets[p * n + q]
-                && !meets[p * n + p]
-                && !meets[q * n + q]
-                && together(i, j)
+            meets[p * n + q] && !meets[p * n + p] && !meets[q * n + q] && together(i, j)
         };
         let all = (0..self.n_model_parameters).flat_map(|j| (0..j).map(move |i| (i, j)));
         all.filter(|&(i, j)| multiplied(i, j)).map(|(i, j)| (VariableId(i), VariableId(j))).collect()
@@ -60,7 +54,6 @@ impl Posed {
                 (meets[r * n + c], meets[c * n + r]) = (true, true);
             }
         }
-        (0..n).filter(|&p| self.straight[p]).for_each(|p| meets[p * n + p] = false);
         meets
     }
 

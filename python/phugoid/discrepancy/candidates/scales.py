@@ -233,14 +233,17 @@ def levels_of(values: _Array) -> int:
         return 0
     counts = np.unique(np.round((values - values.min()) / (_SAME * span)), return_counts=True)[1]
     # Most of the time an input may rest at its trim: what levels it has beside that is told by the other samples.
-    counts = np.delete(counts, np.argmax(counts)) / (values.size - counts.max())
-    often = counts[counts > _OFTEN]
-    return 1 + int(often.size) if often.sum() > 1.0 - _PASSING else 0
+    most = counts.max()
+    counts = np.delete(counts, np.argmax(counts))
+    often = counts[counts > _OFTEN * (values.size - most)]
+    between = values.size - most - often.sum()
+    few = between < _PASSING * values.size and between < _BESIDE * (values.size - most)
+    return 1 + int(often.size) if few else 0
 
 
-# Of a variable's range: values nearer to each other are one level; of the samples beside the most frequent level: what
-# a level has, and what lies between levels.
-_SAME, _OFTEN, _PASSING = 1e-3, 0.05, 0.1
+# Of a variable's range: values nearer to each other are one level. Of the samples beside the most frequent level: what
+# a level has. Of all samples, and of those: what lies between levels, at most.
+_SAME, _OFTEN, _PASSING, _BESIDE = 1e-3, 0.1, 0.1, 0.5
 
 # Transport delays of actuators, air data and telemetry; slower ones would have been noticed.
 _DELAY = 0.3

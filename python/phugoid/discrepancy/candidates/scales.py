@@ -233,11 +233,9 @@ def levels_of(values: _Array) -> int:
         return 0
     counts = np.unique(np.round((values - values.min()) / (_SAME * span)), return_counts=True)[1]
     # Most of the time an input may rest at its trim: what levels it has beside that is told by the other samples.
-    most = counts.max()
-    counts = np.delete(counts, np.argmax(counts))
-    often = counts[counts > _OFTEN * (values.size - most)]
-    between = values.size - most - often.sum()
-    few = between < _PASSING * values.size and between < _BESIDE * (values.size - most)
+    others = np.sort(counts)[:-1]
+    beside, often = others.sum(), others[others > _OFTEN * others.sum()]
+    few = beside - often.sum() < min(_PASSING * values.size, _BESIDE * beside)
     return 1 + int(often.size) if few else 0
 
 

@@ -1,4 +1,4 @@
-"""Whether a term can be a cause at all: whether its size is physical, the data determine it, and it follows no noise.
+"""Decide whether a term can be a cause at all: its size is physical, the data determine it, and it follows no noise.
 
 Where a controller acts on a measurement, the input has a part that follows the noise of that measurement at the same
 sample. A term of the input in that output then seems to predict the noise; but the input follows the noise, and not the

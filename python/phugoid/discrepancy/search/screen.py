@@ -274,13 +274,14 @@ class Screen:
         return list(found.values())
 
     def rivals(self, at: Refit, candidate: Candidate, filter: Filter, best: int, alike: int) -> list[Candidate]:
-        """Candidates that may stand in a candidate's place beside those of ``at``: some of the best through a filter,
-        and some whose effect is nearly the same, of those in the path of an input as many again: powers of an input,
-        which act alike, are many; where the misfit is evident, other functions of the same variable."""
+        """Return candidates that may stand in a candidate's place beside those of ``at``: ``best`` through a filter,
+        and ``alike`` whose effect is nearly the same, with as many again that act in the path of an input; where the
+        misfit is evident, other functions of the same variable."""
         scan = self._cache.scan(at)
         statistics = scan.through(filter)
         near = self._alike(scan, statistics, candidate)
         found = [*self._best(scan, statistics, best), *near[:alike]]
+        # Powers of an input act like its limits, and are many.
         found += [c for c in near[alike:] if c.place.kind == "input"][:alike]
         if isinstance(candidate, Effect) and is_function(candidate) and self._is_evident:
             # What a large term does is not what it does to first order: functions of one variable part there.

@@ -26,7 +26,7 @@ pub(super) struct ActiveSet {
     border: usize,
     /// The state that was held last.
     last: Option<usize>,
-    /// Degrees of freedom: of the variables as many more than equations.
+    /// Degrees of freedom: the number of variables less that of equations.
     freedom: usize,
 }
 

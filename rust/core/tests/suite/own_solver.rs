@@ -81,7 +81,7 @@ fn passes_over_delays_share_the_iterations() {
             || fit.warnings.iter().any(|w| w.contains("still move"))
     );
     // A pass that stopped at the reach of its base is at no bound of the model.
-    let one = Estimation::new(&model, &runs).delay_passes(1e-4, 1).restarts(0).solve().unwrap();
+    let one = Estimation::new(&model, &runs).delay_passes(1e-4, 1).solve().unwrap();
     assert_eq!((one.status, one["tau"].bound), (Status::IterationLimit, None), "{}", one.message);
     assert!(one.message.contains("tau has not converged"), "{}", one.message);
 }

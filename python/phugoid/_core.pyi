@@ -370,6 +370,11 @@ class Whitening:
     def log_scales(self) -> _Array: ...
     def products(self, columns: _Array, vectors: _Array, sizes: Sequence[int]) -> tuple[_Array, _Array]: ...
 
+# products of columns with each other and with residuals, squares of these, numbers of rows
+def random_effects(
+    products: tuple[_Array, _Array, _Array, _Array], k: int, prior: tuple[_Array, float], x: _Array, maximised: bool
+) -> tuple[_Array, float, _Array, _Array, float] | None: ...
+
 # name, value, standard error, unit, bounds, what keeps it
 _Estimated: TypeAlias = tuple[str, float, float, str, tuple[float, float], str | None]
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _core
 from ..residual_noise.whitening import Filter, MultivariateWhitening, Whitening
 from ..solvers import check_time
 from .linearised import Linearised
@@ -175,18 +175,11 @@ def joint_whitening(own: Whitened) -> Whitened | None:
     return best if best is not own else None
 
 
-# Added to the normal equations of the parameters, in parts of their largest: directions that the rows do not determine
-# stay where they are.
+# Added to the diagonal of a correlation, and to the normal equations of the parameters in parts of their largest:
+# directions that the rows do not determine stay where they are.
 _RIDGE = 1e-10
-# The same for random coefficients, which have a prior already.
-_ROUNDING = 1e-13
-# Steps before those of Newton, and how many of those there are; twice the log-likelihood below which these are no gain,
-# and how far the logarithm of a variance goes at once.
-_STEPS, _NEWTON_STEPS, _EQUAL, _LONGEST = 2, 30, 2e-4, 3.0
-# Part of the samples that is left beside coefficients, at least.
-_LEFT = 1e-3
-# Variances are sought within these factors of where they start.
-_RANGE = 1e6
+# Ratio of the pivots of a correlation from which on its inverse is accurate.
+_NEARLY_DEPENDENT = 1e-3
 _TINY = 1e-300
 
 
@@ -213,27 +206,6 @@ class Marginal:
     unknowns: float
 
 
-class _Evaluated(NamedTuple):
-    """The likelihood at logarithms of the variances.
-
-    value        minus twice its logarithm, maximised over b.
-    gradient     of that.
-    information  average information, for its Hessian.
-    step         of MacKay's fixed-point iteration.
-    solution     (e, b), the mean of the independent coefficients and the parameters.
-    factor       Cholesky factor, lower, of their normal equations.
-    unknowns     the effective number of coefficients.
-    """
-
-    value: float
-    gradient: _Array
-    information: _Array
-    step: _Array
-    solution: _Array
-    factor: _Array
-    unknowns: float
-
-
 class RandomEffects:
     """Residuals r = T b + G d + v of a fit.
 
@@ -251,7 +223,10 @@ class RandomEffects:
 
     def __init__(self, linear: Linearised, answers: _Array, filter: Filter | None = None) -> None:
         self.linear, self.k = linear, answers.shape[0]
-        self._root = np.eye(self.k + linear.tangents.shape[1])  # (d, b) = root (e, b) with independent e
+        # d = root e: of e the products are known, and the prior as the inverse of its correlation.
+        self._root: _Array | None = None
+        self._prior: tuple[_Array, float] = (np.empty((0, 0)), 0.0)
+        self._spread: _Array | None = None  # Cholesky's factor of that correlation
         self._effects = np.hstack([answers.T, linear.tangents])
         lines = [slice(line[0].start, line[-1].stop) for line in linear.rows]
         self._counts = np.array([s.stop - s.start for s in lines], dtype=float)
@@ -273,17 +248,23 @@ class RandomEffects:
         if correlation is None:
             return self
         other = copy(self)
-        root = self._root.copy()
-        root[: self.k, : self.k] = np.linalg.cholesky(correlation + _RIDGE * np.eye(self.k))
-        other._root = root
-        other._grams = root.T @ self._grams @ root
-        other._with_r = self._with_r @ root
+        spread = np.linalg.cholesky(correlation + _RIDGE * np.eye(self.k))
+        pivots = np.diag(spread)
+        if pivots.min() > _NEARLY_DEPENDENT * pivots.max():
+            inverse = np.linalg.inv(spread)
+            other._spread = spread
+            other._prior = np.ascontiguousarray(inverse.T @ inverse), 2.0 * float(np.log(pivots).sum())
+        else:  # the inverse would be rounding
+            root = np.eye(self._effects.shape[1])
+            root[: self.k, : self.k] = spread
+            other._root = root
+            other._grams = np.ascontiguousarray(root.T @ self._grams @ root)
+            other._with_r = self._with_r @ root
         return other
 
     def at(self, variance: float, noise: _Array) -> Marginal:
         """Return the likelihood at given variances, maximised over b only."""
-        x = np.log(np.array([variance, *(np.asarray(noise) / self._units**2)]))
-        return self._marginal(x, self._evaluated(x))
+        return self._marginal(np.log(np.array([variance, *(np.asarray(noise) / self._units**2)])), maximised=False)
 
     def components(self, variance: float, noise: _Array) -> _Array:
         """Return the independent combinations of the coefficients that the residuals determine, at given variances, in
@@ -298,6 +279,9 @@ class RandomEffects:
         beside = np.linalg.solve(others, np.column_stack([gram[k:, :k], right[k:]]))
         information = gram[:k, :k] - gram[:k, k:] @ beside[:, :-1]
         score = right[:k] - gram[:k, k:] @ beside[:, -1]
+        if self._spread is not None:  # of independent coefficients
+            information = self._spread.T @ information @ self._spread
+            score = self._spread.T @ score
         sizes, vectors = np.linalg.eigh(0.5 * (information + information.T))
         known = variance * sizes > 1.0
         along = vectors[:, known].T @ score
@@ -308,102 +292,31 @@ class RandomEffects:
 
         The search starts from a variance of the noise for each output, and from one of the coefficients where that is
         nearly known.
-
-        First by the steps of MacKay (1992, eq. 5), which go far, then by Newton's with the average of the observed and
-        the expected information (Gilmour, Thompson and Cullis 1995), which settle them.
         """
         noise = np.maximum(np.asarray(noise) / self._units**2, _TINY)
         power = float(np.trace(self._grams[:, : self.k, : self.k], axis1=1, axis2=2) @ (1.0 / noise))
         first = variance or float(self._squares @ (1.0 / noise)) / max(power, _TINY)
-        x = np.log(np.array([max(first, _TINY), *noise]))
-        spread = np.log(_RANGE)
-        low, high = x - spread, x + spread
-        best, at = x, self._evaluated(x)
-        for _ in range(_STEPS):
-            x = np.clip(best + at.step, low, high)
-            found = self._evaluated(x)
-            if not found.value < at.value:
-                break
-            best, at = x, found
-        for _ in range(_NEWTON_STEPS):
-            check_time()
-            step = np.clip(best + self._newton_step(at), low, high) - best
-            if not -0.5 * float(at.gradient @ step) > _EQUAL:
-                break
-            for part in (1.0, 0.3, 0.1):
-                found = self._evaluated(best + part * step)
-                if found.value < at.value:
-                    break
-            else:
-                break
-            best, at = best + part * step, found
-        return self._marginal(best, at)
+        return self._marginal(np.log(np.array([max(first, _TINY), *noise])), maximised=True)
 
-    def _newton_step(self, at: _Evaluated) -> _Array:
-        """Return the step to where the gradient vanishes, no longer than a variance can be extrapolated."""
-        size = np.maximum(np.diag(at.information), _TINY)
-        damped = at.information + np.diag(_RIDGE * size)
-        step = np.linalg.solve(damped, -at.gradient)
-        return np.asarray(step / max(1.0, float(np.abs(step).max()) / _LONGEST))
+    def _marginal(self, x: _Array, maximised: bool) -> Marginal:
+        """Return the likelihood at logarithms of the variances, or from there at its maximum, with the coefficients."""
+        from scipy.linalg.lapack import dtrtrs
 
-    def _marginal(self, x: _Array, at: _Evaluated) -> Marginal:
-        """Return the likelihood with the coefficients."""
-        from scipy.linalg import solve_triangular
-
+        check_time()
+        products = self._grams, self._with_r, self._squares, self._counts
+        found = _core.random_effects(products, self.k, self._prior, x, maximised)
+        if found is None:
+            raise np.linalg.LinAlgError("the normal equations of the random coefficients are not positive definite")
+        x, value, mean, factor, unknowns = found
         noise = np.exp(x[1:]) * self._units**2
         # In units of the noise as fitted the density is another.
-        log_likelihood = -0.5 * at.value + self._constant
-        half = solve_triangular(at.factor, self._root[: self.k].T, lower=True, check_finite=False)
-        mean = self._root @ at.solution
+        log_likelihood = -0.5 * value + self._constant
+        root = np.eye(mean.size) if self._root is None else self._root
+        half, _ = dtrtrs(factor.T, root[: self.k].T, lower=0, trans=1)
         deviations = np.sqrt(np.einsum("ij,ij->j", half, half))
+        mean = mean if self._root is None else self._root @ mean
         left = self.linear.residuals - self._effects @ mean
-        variance = float(np.exp(x[0]))
-        return Marginal(log_likelihood, variance, noise, mean[: self.k], deviations, left, at.unknowns)
-
-    def _evaluated(self, x: _Array) -> _Evaluated:
-        """Evaluate the likelihood at logarithms of the variances."""
-        from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
-
-        s2, noise, k = float(np.exp(x[0])), np.exp(x[1:]), self.k
-        gram = np.tensordot(1.0 / noise, self._grams, axes=1)
-        right = (1.0 / noise) @ self._with_r
-        size = np.diag(gram)
-        diagonal = np.full(size.size, _RIDGE * max(float(size[k:].max(initial=0.0)), _TINY))
-        diagonal[:k] = 1.0 / s2 + _ROUNDING * float(size[:k].max(initial=0.0))
-        gram[np.diag_indices_from(gram)] += diagonal
-        # Coefficients come first, so that their own factor is the first part of the whole one. Symmetric matrices are
-        # handed over transposed, as LAPACK stores them.
-        factor, failed = dpotrf(gram.T, lower=1, overwrite_a=1)
-        if failed:
-            raise np.linalg.LinAlgError("the normal equations of the random coefficients are not positive definite")
-        solution, _ = dpotrs(factor, right, lower=1)
-        inverse, _ = dpotri(factor[:k, :k], lower=1)  # its lower triangle
-        log_det = 2.0 * float(np.log(np.diag(factor)[:k]).sum()) + k * float(x[0])
-        value = float(self._counts @ x[1:]) + log_det + float(self._squares @ (1.0 / noise)) - float(right @ solution)
-        d, b = solution[:k], solution[k:]
-        variances = np.diag(inverse)
-        # Squares that are left, and the samples and coefficients that they are worth, by part.
-        squares, taken = np.empty(x.size), np.empty(x.size)
-        squares[0], taken[0] = float(d @ d) / s2, float(variances.sum()) / s2
-        # What P of Gilmour, Thompson and Cullis makes of the parts' working variates, which are the coefficients' share
-        # of the outputs and the residuals of each output: squares in the metric of the noise, and their projections.
-        metric, projected = np.zeros((x.size, x.size)), np.zeros((size.size, x.size))
-        for i, (g, c, n) in enumerate(zip(self._grams, self._with_r, noise, strict=True), 1):
-            by_solution = g @ solution
-            squares[i] = (self._squares[i - 1] - 2.0 * float(solution @ c) + float(solution @ by_solution)) / n
-            of_coefficients = g[:k, :k].T
-            both = 2.0 * float(np.einsum("ij,ij->", inverse, of_coefficients))
-            taken[i] = (both - float(variances @ np.diag(of_coefficients))) / n
-            projected[:, 0] += (by_solution - g[:, k:] @ b) / n
-            projected[:, i] = (c - by_solution) / n
-            metric[i, i] = squares[i]
-        metric[0] = metric[:, 0] = d @ projected[:k]
-        half, _ = dtrtrs(factor, projected, lower=1)
-        counts = np.array([k, *self._counts])
-        gradient = counts - squares - taken
-        step = np.log(np.maximum(squares, _TINY) / np.maximum(counts - taken, _LEFT * counts))
-        information = metric - half.T @ half
-        return _Evaluated(value, gradient, information, step, solution, factor, k - float(taken[0]))
+        return Marginal(log_likelihood, float(np.exp(x[0])), noise, mean[: self.k], deviations, left, unknowns)
 
 
 def at_knots(times: _Array, knots: Sequence[float] | _Array) -> _Array:

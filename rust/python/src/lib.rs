@@ -13,6 +13,7 @@ mod model;
 mod newton;
 mod noise;
 mod problem;
+mod random_effects;
 mod response;
 mod shooting;
 mod simulate;
@@ -38,6 +39,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<newton::PySolution>()?;
     m.add_class::<whitening::PyWhitening>()?;
     m.add_function(wrap_pyfunction!(whitening::burg, m)?)?;
+    m.add_function(wrap_pyfunction!(random_effects::random_effects, m)?)?;
     m.add_function(wrap_pyfunction!(memory::play, m)?)?;
     m.add_function(wrap_pyfunction!(memory::rate_limited, m)?)?;
     m.add_function(wrap_pyfunction!(memory::bouc_wen, m)?)?;

@@ -5,6 +5,7 @@ use std::cell::RefCell;
 use faer::diag::DiagMut;
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::cholesky::llt::factor::{LltError, cholesky_in_place, cholesky_in_place_scratch};
+use faer::linalg::cholesky::llt::inverse::{inverse as llt_inverse, inverse_scratch as llt_inverse_scratch};
 use faer::linalg::evd::{self, ComputeEigenvectors};
 use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};
@@ -83,6 +84,17 @@ pub fn add_lower_product(to: &mut [f64], a: &[f64], b: &[f64], [k, stride, rows]
     let full = BlockStructure::Rectangular;
     let lower = BlockStructure::TriangularLower;
     triangular::matmul(to, lower, Accum::Add, a.transpose(), full, b, full, 1.0, Par::Seq);
+}
+
+/// The inverse of L Lᵀ, as `super::inverse_of_first` gives it.
+pub fn inverse_of_first(factor: &[f64], m: usize, inverse: &mut [f64], k: usize) {
+    let factor = MatRef::from_row_major_slice_with_stride(&factor[..k * m], k, k, m);
+    let mut memory = MemBuffer::new(llt_inverse_scratch::<f64>(k, Par::Seq));
+    let out = MatMut::from_row_major_slice_mut(inverse, k, k);
+    llt_inverse(out, factor, Par::Seq, MemStack::new(&mut memory));
+    for i in 0..k {
+        (0..i).for_each(|j| inverse[j * k + i] = inverse[i * k + j]);
+    }
 }
 
 /// Solves L Lᵀ x = b in place, with L in the lower triangle, column by column.

@@ -4,7 +4,7 @@ use std::collections::{BTreeSet, BinaryHeap};
 
 use nalgebra::{DMatrix, SymmetricEigen};
 
-use super::loops::{by_loops, dot_of};
+use super::loops::{by_loops, dot_of, inverse_by_loops};
 use crate::simd::kernel;
 
 /// Cholesky's factor of a symmetric matrix, row by row, as `super::cholesky` gives it.
@@ -51,6 +51,11 @@ kernel! {
             }
         }
     }
+}
+
+/// The inverse of L Lᵀ for zeros (k, k), as `super::inverse_of_first` gives it.
+pub fn inverse_of_first(factor: &[f64], m: usize, inverse: &mut [f64], k: usize) {
+    inverse_by_loops(factor, m, inverse, k);
 }
 
 /// Solves L Lᵀ x = b in place, with L in the lower triangle, column by column.

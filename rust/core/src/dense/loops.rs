@@ -185,6 +185,30 @@ pub fn inverse(c: &[f64], n: usize) -> Vec<f64> {
     out
 }
 
+kernel! {
+    /// Does what [`inverse_of_first`](super::inverse_of_first) does, by loops whatever the size, for zeros (k, k).
+    pub fn inverse_by_loops(factor: &[f64], m: usize, inverse: &mut [f64], k: usize) {
+        let mut root = vec![0.0; k * k]; // the inverse of L
+        for i in 0..k {
+            let (above, rest) = root.split_at_mut(i * k);
+            let row = &mut rest[..=i];
+            for (j, other) in above.chunks_exact(k).enumerate() {
+                let factor = factor[i * m + j];
+                row.iter_mut().zip(&other[..=j]).for_each(|(r, o)| *r -= factor * o);
+            }
+            row[i] = 1.0;
+            row.iter_mut().for_each(|r| *r /= factor[i * m + i]);
+        }
+        for row in 0..k {
+            for i in 0..=row {
+                let factor = root[row * k + i];
+                let (to, from) = (&mut inverse[i * k..][..=row], &root[row * k..][..=row]);
+                to.iter_mut().zip(from).for_each(|(t, f)| *t += factor * f);
+            }
+        }
+    }
+}
+
 /// ln det C Cᵀ.
 pub fn log_det(c: &[f64], n: usize) -> f64 {
     (0..n).map(|i| 2.0 * c[i * n + i].ln()).sum()

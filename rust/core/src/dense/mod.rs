@@ -34,6 +34,17 @@ pub fn cholesky(a: &mut [f64], n: usize, least: impl Fn(f64) -> f64) -> Result<(
     by_loops(a, n, least)
 }
 
+/// The inverse (k, k) of L Lᵀ, with L the first k rows and columns of the lower triangle of a matrix of m.
+pub fn inverse_of_first(factor: &[f64], m: usize, k: usize) -> Vec<f64> {
+    let mut inverse = vec![0.0; k * k];
+    if k >= LARGE {
+        large::inverse_of_first(factor, m, &mut inverse, k);
+    } else {
+        inverse_by_loops(factor, m, &mut inverse, k);
+    }
+    inverse
+}
+
 #[cfg(all(test, feature = "faer"))]
 mod tests {
     use super::{large_by_faer as by_faer, large_by_loops as by_loops};
@@ -79,6 +90,16 @@ mod tests {
             by_loops::cholesky(&mut other, n, |_| 0.0).unwrap();
             let lower = |a: &[f64]| (0..n).flat_map(|i| a[i * n..=i * n + i].to_vec()).collect::<Vec<_>>();
             assert_near(&lower(&other), &lower(&one));
+            // Of the first rows and columns; and the product with what it is the inverse of is the identity.
+            let (k, a) = (n.div_ceil(2), symmetric(n, 3.0 * n as f64));
+            let (mut of_one, mut of_other) = (vec![0.0; k * k], vec![0.0; k * k]);
+            by_faer::inverse_of_first(&one, n, &mut of_one, k);
+            by_loops::inverse_of_first(&one, n, &mut of_other, k);
+            assert_near(&of_other, &of_one);
+            let entry = |i: usize, j: usize| (0..k).map(|l| of_one[i * k + l] * a[l * n + j]).sum::<f64>();
+            let product: Vec<f64> = (0..k * k).map(|at| entry(at / k, at % k)).collect();
+            let identity: Vec<f64> = (0..k * k).map(|at| f64::from(at / k == at % k)).collect();
+            assert_near(&product, &identity);
             assert_eq!(by_faer::cholesky(&mut symmetric(n, -9.0), n, |_| 0.0), Err(0));
             assert_eq!(by_loops::cholesky(&mut symmetric(n, -9.0), n, |_| 0.0), Err(0));
 

@@ -96,7 +96,7 @@ fn informed(
     nlp.constraints(xi, &mut c)?;
     unless_stopped()?;
     let units = Units::new(nlp, xi);
-    let mut kkt = kkt.make(nlp, &units.states);
+    let mut kkt = kkt.take_or_make(nlp, &units.states);
     let entries = Entries { hessian: &hessian, jacobian: &jacobian };
     let kkt = kkt.factorize(&entries, Effort::FULL).map_err(NoInformation::Singular)?;
     unless_stopped()?;

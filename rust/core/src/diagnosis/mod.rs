@@ -6,6 +6,7 @@ mod forward;
 mod linearisation;
 pub mod memory;
 mod passage;
+mod random_effects;
 mod response;
 mod whitening;
 
@@ -14,6 +15,7 @@ pub use covariance::{Information, NoInformation, information};
 pub use forward::Forward;
 pub use linearisation::{Linearisation, Outputs, Place};
 pub use passage::Predictors;
+pub use random_effects::{Marginal, RandomEffects};
 pub use response::Response;
 pub use whitening::Whitening;
 

@@ -74,6 +74,7 @@ fn assessed(
         }
         limit.run(|| information(problem, xi, &solution.multipliers, &wanted, &held, &solution.kkt))
     });
+    drop(solution.kkt.take_made()); // a fit does not keep that much
     match found {
         None => warnings.push(NOT_FEASIBLE.into()),
         Some(Err(why)) => warnings.push(no_errors(problem, xi, why, limit)),

@@ -1,7 +1,7 @@
 //! The factorisation that fits a program.
 
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use super::arrow::ArrowKkt;
 use super::sparse::SparseKkt;
@@ -13,31 +13,56 @@ use crate::nlp::{Chains, Nlp, Structure};
 type Make = dyn Fn(&dyn Nlp, &[f64]) -> Box<dyn KktSolver> + Send + Sync;
 
 /// The choice of a factorisation: the one that fits a program ([`kkt_for`]), unless the user has another.
-#[derive(Clone, Default)]
-pub struct KktChoice(Option<Arc<Make>>);
+#[derive(Default)]
+pub struct KktChoice {
+    own: Option<Arc<Make>>,
+    made: Mutex<Option<Box<dyn KktSolver>>>,
+}
 
 impl KktChoice {
     /// A factorisation of one's own, made for a program and the units of its states.
     pub fn own(make: impl Fn(&dyn Nlp, &[f64]) -> Box<dyn KktSolver> + Send + Sync + 'static) -> KktChoice {
-        KktChoice(Some(Arc::new(make)))
+        KktChoice { own: Some(Arc::new(make)), made: Mutex::default() }
     }
 
     /// Makes it.
     pub fn make(&self, nlp: &dyn Nlp, units: &[f64]) -> Box<dyn KktSolver> {
-        self.0.as_ref().map_or_else(|| kkt_for(nlp, units), |make| make(nlp, units))
+        self.own.as_ref().map_or_else(|| kkt_for(nlp, units), |make| make(nlp, units))
+    }
+
+    /// The same choice with one that was made for a program, which another system of the same program takes: to plan
+    /// an elimination takes as long as two iterations. A clone of the choice has none.
+    pub(crate) fn with_made(self, kkt: Box<dyn KktSolver>) -> KktChoice {
+        KktChoice { own: self.own, made: Mutex::new(Some(kkt)) }
+    }
+
+    /// Takes the one that was made for the program, or makes it.
+    pub(crate) fn take_or_make(&self, nlp: &dyn Nlp, units: &[f64]) -> Box<dyn KktSolver> {
+        self.take_made().unwrap_or_else(|| self.make(nlp, units))
+    }
+
+    /// Takes the one that was made.
+    pub(crate) fn take_made(&self) -> Option<Box<dyn KktSolver>> {
+        self.made.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
+impl Clone for KktChoice {
+    fn clone(&self) -> KktChoice {
+        KktChoice { own: self.own.clone(), made: Mutex::default() }
     }
 }
 
 impl fmt::Debug for KktChoice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(if self.0.is_some() { "a factorisation of one's own" } else { "the one that fits" })
+        f.write_str(if self.own.is_some() { "a factorisation of one's own" } else { "the one that fits" })
     }
 }
 
 impl PartialEq for KktChoice {
     fn eq(&self, other: &KktChoice) -> bool {
-        self.0.as_ref().map(Arc::as_ptr).map(<*const Make>::cast::<()>)
-            == other.0.as_ref().map(Arc::as_ptr).map(<*const Make>::cast::<()>)
+        self.own.as_ref().map(Arc::as_ptr).map(<*const Make>::cast::<()>)
+            == other.own.as_ref().map(Arc::as_ptr).map(<*const Make>::cast::<()>)
     }
 }
 

@@ -188,7 +188,7 @@ impl<'a> Newton<'a> {
             iterations: self.history.last().map_or(0, |l| l.number),
             flops: self.system.flops(),
             message: ending.message(&self.program, &point),
-            kkt: self.settings.kkt,
+            kkt: self.settings.kkt.with_made(self.system.into_kkt()),
             xi: point.xi,
             multipliers,
             bound_multipliers: None,

@@ -56,6 +56,11 @@ impl NewtonSystem {
         self.kkt.flops()
     }
 
+    /// What factorises it, for other systems of the program.
+    pub fn into_kkt(self) -> Box<dyn KktSolver> {
+        self.kkt
+    }
+
     /// Evaluates derivatives at the iterate, and factorises the system there with the exact Hessian, if that is positive along the constraints, else
     /// with that of Gauss and Newton, shifted until it is.
     pub fn factorise(

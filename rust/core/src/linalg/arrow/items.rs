@@ -4,6 +4,8 @@ use crate::interrupt::current;
 
 /// Operations, about, to find the place of an entry.
 const OPERATIONS: usize = 64;
+/// Instead of a panel.
+const NONE: u32 = u32::MAX;
 
 /// Panel of an entry, or place in it; `Some(None)` for an entry that needs none, `None` where it does not fit.
 pub(super) type Slot = Option<Option<usize>>;
@@ -27,18 +29,20 @@ impl Items {
         panels: &[usize],
         entries: usize,
         panel: impl Fn(usize) -> Slot,
-        place: impl Fn(usize) -> Slot,
+        mut place: impl FnMut(usize) -> Slot,
     ) -> Option<Vec<Items>> {
         let total: usize = panels.iter().sum();
         let mut turns = current().turns(OPERATIONS);
-        let mut starts = vec![0u32; total + 1];
+        let (mut starts, mut panel_of) = (vec![0u32; total + 1], Vec::with_capacity(entries));
         for t in 0..entries {
             if turns.stop() {
                 return None;
             }
-            if let Some(panel) = panel(t)? {
+            let panel = panel(t)?;
+            if let Some(panel) = panel {
                 starts[panel + 1] += 1;
             }
+            panel_of.push(panel.map_or(NONE, |panel| panel as u32));
         }
         for i in 0..total {
             starts[i + 1] += starts[i];
@@ -49,9 +53,13 @@ impl Items {
             if turns.stop() {
                 return None;
             }
-            if let (Some(panel), Some(place)) = (panel(t)?, place(t)?) {
-                items[ends[panel] as usize] = (t as u32, place as u32);
-                ends[panel] += 1;
+            if panel_of[t] == NONE {
+                continue;
+            }
+            if let Some(place) = place(t)? {
+                let end = &mut ends[panel_of[t] as usize];
+                items[*end as usize] = (t as u32, place as u32);
+                *end += 1;
             }
         }
         let mut first = 0;

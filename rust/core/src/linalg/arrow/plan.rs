@@ -83,7 +83,7 @@ fn rows_by_panel(
     let column_of = positions(&shape.dynamic, border, 0);
     let of_part: Vec<Vec<usize>> =
         shape.parts.iter().map(|part| positions(&part.dynamic, shape.dynamic.len(), 0)).collect();
-    let place = |t: usize| -> Slot {
+    let found = |t: usize| -> Slot {
         let (row, column) = (rows[jacobian.rows[t] as usize], jacobian.columns[t] as usize);
         let plan = plans.get(row.chain as usize)?;
         let i = row.index as usize;
@@ -127,6 +127,25 @@ fn rows_by_panel(
         };
         Some(Some(i_own * part.panel(plan.chain.points) + column))
     };
+    // Entries of consecutive segments stand side by side: each has mostly the place of the one before.
+    let mut last = (None, None);
+    let place = |t: usize| -> Slot {
+        let (row, column) = (rows[jacobian.rows[t] as usize], jacobian.columns[t] as usize);
+        if row.is_boundary() {
+            return found(t);
+        }
+        let other = if column < border {
+            (u32::MAX, column as u32, 0, false)
+        } else {
+            let v = variables[column];
+            (v.chain, v.index, row.after.wrapping_sub(v.after), v.after == 0)
+        };
+        let key = Some((row.chain, row.index, other));
+        if last.0 != key {
+            last = (key, found(t));
+        }
+        last.1
+    };
     let n_parts = shape.parts.len();
     let of_chain = |plan: &ChainPlan| std::iter::repeat_n(plan.chain.segments, n_parts).chain([1]);
     let panels: Vec<usize> = plans.iter().flat_map(of_chain).collect();
@@ -154,11 +173,7 @@ fn points_by_panel(
     let (n, border, variables) = (shape.n, shape.border, &*places.variables);
     let coupling_of = positions(&shape.coupled, border, n);
     let across = n + shape.coupled.len();
-    let place = |t: usize| -> Slot {
-        let (low, high) = ends(hessian, t);
-        if high < border {
-            return Some(None);
-        }
+    let found = |low: usize, high: usize| -> Slot {
         let v = variables[high];
         let (point, i) = (v.index as usize / n, v.index as usize % n);
         let other = if low < border {
@@ -174,6 +189,28 @@ fn points_by_panel(
         // In the order in which they are worked on: states before the border.
         let within = if low < border { n * n + i * across + other } else { i * n + other };
         Some(Some(point * (n * n + n * across) + within))
+    };
+    let mut last = (None, None);
+    let place = |t: usize| -> Slot {
+        let (low, high) = ends(hessian, t);
+        if high < border {
+            return Some(None);
+        }
+        let v = variables[high];
+        let other = if low < border {
+            (low as u32, true)
+        } else {
+            let other = variables[low];
+            if (other.chain, other.after) != (v.chain, v.after) {
+                return None;
+            }
+            (other.index, false)
+        };
+        let key = Some((v.index, other));
+        if last.0 != key {
+            last = (key, found(low, high));
+        }
+        last.1
     };
     let panels: Vec<usize> = plans.iter().map(|plan| plan.chain.segments + 1).collect();
     let first = cumulated(&panels);

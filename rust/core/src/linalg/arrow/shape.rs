@@ -51,7 +51,7 @@ impl Shape {
         let n = self.n;
         let of_row = |t: usize| {
             let row = places.rows[jacobian.rows[t] as usize];
-            row.is_own().then(|| row.index as usize % n)
+            row.is_own().then_some(row.index as usize)
         };
         // Each state points to one of its part, the first of them to itself.
         let mut to: Vec<usize> = (0..n).collect();
@@ -61,9 +61,15 @@ impl Shape {
             }
             i
         };
+        let mut last = None;
         for (t, &column) in jacobian.columns.iter().enumerate().filter(|(_, c)| **c as usize >= self.border) {
             if let Some(i) = of_row(t) {
-                let (a, b) = (root(&to, i), root(&to, places.variables[column as usize].index as usize % n));
+                let j = places.variables[column as usize].index as usize;
+                // As the one before, mostly: entries of consecutive segments stand side by side.
+                if last.replace((i, j)) == Some((i, j)) {
+                    continue;
+                }
+                let (a, b) = (root(&to, i % n), root(&to, j % n));
                 to[a.max(b)] = a.min(b);
             }
         }
@@ -73,7 +79,7 @@ impl Shape {
         for (t, &column) in jacobian.columns.iter().enumerate().filter(|(_, c)| (**c as usize) < self.border)
         {
             if let Some(i) = of_row(t) {
-                enters[roots[i] * self.dynamic.len() + place[column as usize]] = true;
+                enters[roots[i % n] * self.dynamic.len() + place[column as usize]] = true;
             }
         }
         let part = |root: usize| {

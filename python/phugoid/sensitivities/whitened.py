@@ -248,7 +248,7 @@ class RandomEffects:
         if correlation is None:
             return self
         other = copy(self)
-        spread = np.linalg.cholesky(correlation + _RIDGE * np.eye(self.k))
+        spread: _Array = np.linalg.cholesky(correlation + _RIDGE * np.eye(self.k)).astype(np.float64, copy=False)
         pivots = np.diag(spread)
         if pivots.min() > _NEARLY_DEPENDENT * pivots.max():
             inverse = np.linalg.inv(spread)

@@ -99,10 +99,11 @@ impl<'a> Regression<'a> {
     /// From a point of a program. `None` where there are no chains, or nothing is free.
     pub fn new(nlp: &'a dyn Separable, program: &'a Program<'a>, point: Point) -> Option<Regression<'a>> {
         let chains = nlp.chains()?;
-        let profiled = nlp.profiled();
-        let free: Vec<usize> = (0..chains.border)
-            .filter(|i| !profiled.contains(i) && program.lower[*i] < program.upper[*i])
-            .collect();
+        let (profiled, of_noise) = (nlp.profiled(), nlp.of_noise());
+        // Residuals are zero where a measurement is the state, and then say nothing of the noise.
+        let is_held = |i: usize| profiled.contains(&i) || of_noise.contains(&VariableId(i));
+        let free: Vec<usize> =
+            (0..chains.border).filter(|&i| !is_held(i) && program.lower[i] < program.upper[i]).collect();
         if free.is_empty() {
             return None;
         }
@@ -141,9 +142,8 @@ impl<'a> Regression<'a> {
             let mut gained = None;
             while alpha > 0.05 {
                 self.trial.xi.copy_from_slice(&self.here.xi);
-                for (&i, d) in self.free.iter().zip(step.iter()) {
-                    let x = &mut self.trial.xi[i];
-                    *x = self.program.within(i, alpha.mul_add(*d, *x));
+                for (k, d) in step.iter().enumerate() {
+                    self.trial.xi[self.free[k]] = self.moved(k, alpha * d);
                 }
                 if self.trial.evaluate(self.program).is_ok() {
                     std::mem::swap(&mut self.here, &mut self.trial);
@@ -173,6 +173,13 @@ impl<'a> Regression<'a> {
         if !done || astray || self.here.evaluate(self.program).is_err() {
             self.here.copy(&start);
         }
+    }
+
+    /// Returns the free variable of this number after a step. Where the model is linear in a parameter, the step is one of it.
+    pub(super) fn moved(&self, k: usize, step: f64) -> f64 {
+        let (i, x) = (self.free[k], self.here.xi[self.free[k]]);
+        let to = if self.nonlinear[k] { x + step } else { self.nlp.moved(VariableId(i), x, step) };
+        self.program.within(i, to)
     }
 
     /// Squared norm of the column of each free parameter in the scaled Jacobian of the constraints.

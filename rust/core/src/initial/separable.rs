@@ -113,9 +113,8 @@ impl Regression<'_> {
     }
 
     pub(super) fn move_by(&mut self, step: &[f64]) {
-        for (&i, d) in self.free.iter().zip(step) {
-            let x = &mut self.here.xi[i];
-            *x = self.program.within(i, *x + d);
+        for (k, d) in step.iter().enumerate() {
+            self.here.xi[self.free[k]] = self.moved(k, *d);
         }
     }
 

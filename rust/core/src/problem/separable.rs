@@ -1,13 +1,48 @@
 //! Separable least squares: the parameters that the model is linear in, the others given.
 
 use super::posed::Posed;
+use crate::expr::graph::{Graph, Id};
 use crate::index::VariableId;
+use crate::model::{Compiled, Parameter};
 use crate::transform::Transform;
 
 /// Greatest factor by which another point to try differs.
 const FACTOR: f64 = 5.0;
 
+/// How f, g and the noise depend on a parameter of the model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Role {
+    /// The variable is a logarithm, and f and g are linear in the parameter.
+    Straight,
+    /// Standard deviations depend on it, f and g do not.
+    OfNoise,
+    Other,
+}
+
+/// Returns the role of each parameter.
+pub(crate) fn roles(graph: &mut Graph, parameters: &[Parameter], compiled: &Compiled) -> Vec<Role> {
+    let of_model: Vec<Id> = compiled.dynamics.iter().chain(&compiled.outputs).copied().collect();
+    let scales: Vec<Id> = compiled.scales.iter().flatten().copied().collect();
+    let mut depends = |roots: &[Id], p: Id| roots.iter().any(|&root| graph.gradient(root, &[p])[0].is_some());
+    let of_noise: Vec<bool> =
+        compiled.parameters.iter().map(|&p| depends(&scales, p) && !depends(&of_model, p)).collect();
+    let mut is_linear = |p: Id| of_model.iter().all(|&root| graph.hessian(root, &[p]).values.is_empty());
+    let each = parameters.iter().zip(&compiled.parameters).zip(of_noise);
+    each.map(|((p, &symbol), of_noise)| match p.transform {
+        _ if of_noise => Role::OfNoise,
+        Transform::Log if is_linear(symbol) => Role::Straight,
+        _ => Role::Other,
+    })
+    .collect()
+}
+
 impl Posed {
+    /// Variables that are parameters of the noise alone, as the model has them in expressions.
+    pub(crate) fn of_noise(&self) -> Vec<VariableId> {
+        let of_model = (0..self.n_model_parameters).map(VariableId);
+        of_model.filter(|&i| self.roles[self.estimands.parameter[i].0] == Role::OfNoise).collect()
+    }
+
     /// Variables that are parameters of the model in which f and g are not linear, the least number such that they
     /// are jointly linear in all others, as far as a greedy choice finds it.
     pub(crate) fn nonlinear(&self) -> Vec<VariableId> {
@@ -35,9 +70,15 @@ impl Posed {
             let (a, b) = (self.estimands.experiment[VariableId(i)], self.estimands.experiment[VariableId(j)]);
             a.is_none() || b.is_none() || a == b
         };
+        let is_plain = |i: usize| self.estimands.transforms[VariableId(i)] != Transform::Log;
         let multiplied = |i: usize, j: usize| {
             let (p, q) = (seen(i), seen(j));
-            meets[p * n + q] && !meets[p * n + p] && !meets[q * n + q] && together(i, j)
+            is_plain(i)
+                && is_plain(j)
+                && meets[p * n + q]
+                && !meets[p * n + p]
+                && !meets[q * n + q]
+                && together(i, j)
         };
         let all = (0..self.n_model_parameters).flat_map(|j| (0..j).map(move |i| (i, j)));
         all.filter(|&(i, j)| multiplied(i, j)).map(|(i, j)| (VariableId(i), VariableId(j))).collect()
@@ -54,6 +95,8 @@ impl Posed {
                 (meets[r * n + c], meets[c * n + r]) = (true, true);
             }
         }
+        let straight = self.roles.iter().enumerate().filter(|(_, role)| **role == Role::Straight);
+        straight.for_each(|(p, _)| meets[p * n + p] = false);
         meets
     }
 

@@ -62,6 +62,14 @@ impl<T: Transcribed> Separable for T {
         self.posed().products()
     }
 
+    fn of_noise(&self) -> Vec<VariableId> {
+        self.posed().of_noise()
+    }
+
+    fn moved(&self, i: VariableId, x: f64, step: f64) -> f64 {
+        self.posed().estimands.transforms.get(i).map_or(x + step, |t| t.moved(x, step))
+    }
+
     fn move_elsewhere(&self, xi: &mut [f64], variables: &[VariableId], draw: u64) {
         self.posed().move_elsewhere(xi, variables, draw);
     }

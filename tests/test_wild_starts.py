@@ -1,4 +1,4 @@
-"""Starts far from a known truth: a motion that is finite is never "infeasible"."""
+"""Starts far from a known truth: other parameters are tried if asked for, and a motion that is finite is never "infeasible"."""
 
 from __future__ import annotations
 
@@ -41,6 +41,21 @@ def estimated(case: str, start: dict[str, float], **options: Any) -> ph.Fit:
     m.dynamics(**dict(zip(names, slopes(states, parameters), strict=True)))
     m.outputs(x=states[0])
     return ph.estimate(m, data, **options)
+
+
+FAR = [
+    ("van der Pol", {"mu": 25.144, "w": 4.2235}),
+    ("van der Pol", {"mu": 17.142823367330116, "w": 2.388480541285533}),
+    ("Lorenz", {"s": 2.5522, "r": 9.371, "b": 8.4469}),
+]
+
+
+@pytest.mark.parametrize(("case", "start"), FAR)
+def test_the_truth_is_found_from_afar(case: str, start: dict[str, float]) -> None:
+    fit = estimated(case, start, solver=ph.Newton(restarts=8))
+    assert fit.converged, fit.message
+    for name, true in CASES[case][1].items():
+        assert abs(fit.parameters[name].value - true) < 4 * fit.parameters[name].std_error, name
 
 
 @pytest.mark.parametrize("start", [{"mu": 25.144, "w": 4.2235}, {"mu": 29.617, "w": 13.733}])

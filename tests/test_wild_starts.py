@@ -1,4 +1,4 @@
-"""Starts far from a known truth: other parameters are tried if asked for, and a motion that is finite is never "infeasible"."""
+"""Starts far from a known truth: others are tried if asked for, and where a motion is finite no end is infeasible."""
 
 from __future__ import annotations
 

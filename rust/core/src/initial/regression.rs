@@ -35,6 +35,9 @@ pub(super) struct Regression<'a> {
     pub free: Vec<usize>,
     /// Of these, which the model is not linear in, the others given.
     pub nonlinear: Vec<bool>,
+    /// The same where logarithms take steps of their parameters, and whether they do now.
+    pub(super) nonlinear_by_parameters: Vec<bool>,
+    pub(super) by_parameters: bool,
     /// Number of states.
     pub n_x: usize,
     /// The profiled variables at the start.
@@ -109,12 +112,14 @@ impl<'a> Regression<'a> {
         }
         let mut place = vec![usize::MAX; chains.border];
         free.iter().enumerate().for_each(|(k, &i)| place[i] = k);
-        let nonlinear = nlp.nonlinear();
+        let among = |found: Vec<VariableId>| free.iter().map(|&i| found.contains(&VariableId(i))).collect();
         Some(Regression {
             program,
             nlp,
             trial: point.clone(),
-            nonlinear: free.iter().map(|&i| nonlinear.contains(&VariableId(i))).collect(),
+            nonlinear: among(nlp.nonlinear()),
+            nonlinear_by_parameters: among(nlp.nonlinear_by_parameters()),
+            by_parameters: false,
             first: point.xi[profiled.clone()].to_vec(),
             normal: Normal::new(nlp.jacobian_structure(), &place, free.len(), program.units.rows),
             n_x: chains.n_x,
@@ -175,10 +180,11 @@ impl<'a> Regression<'a> {
         }
     }
 
-    /// Returns the free variable of this number after a step. Where the model is linear in a parameter, the step is one of it.
+    /// Returns the free variable of this number after a step.
     pub(super) fn moved(&self, k: usize, step: f64) -> f64 {
         let (i, x) = (self.free[k], self.here.xi[self.free[k]]);
-        let to = if self.nonlinear[k] { x + step } else { self.nlp.moved(VariableId(i), x, step) };
+        let of_parameter = self.by_parameters && !self.nonlinear[k];
+        let to = if of_parameter { self.nlp.moved(VariableId(i), x, step) } else { x + step };
         self.program.within(i, to)
     }
 

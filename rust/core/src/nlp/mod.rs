@@ -198,6 +198,10 @@ pub trait Nlp: Named + Send + Sync {
 pub trait Separable: Nlp {
     /// Border variables in which outputs and constraints are not linear, jointly linear in the other ones.
     fn nonlinear(&self) -> Vec<VariableId>;
+    /// The same where logarithms take steps of their parameters ([`Separable::moved`]).
+    fn nonlinear_by_parameters(&self) -> Vec<VariableId> {
+        self.nonlinear()
+    }
     /// Pairs of border variables that are multiplied with each other, and in neither of which outputs and constraints are
     /// nonlinear by itself.
     fn products(&self) -> Vec<(VariableId, VariableId)>;

@@ -46,7 +46,19 @@ impl Posed {
     /// Variables that are parameters of the model in which f and g are not linear, the least number such that they
     /// are jointly linear in all others, as far as a greedy choice finds it.
     pub(crate) fn nonlinear(&self) -> Vec<VariableId> {
-        let (n, meets) = (self.n_seen(), self.meets());
+        self.least_nonlinear(&self.meets())
+    }
+
+    /// The same where a logarithm takes steps of its parameter, if f and g are linear in that.
+    pub(crate) fn nonlinear_by_parameters(&self) -> Vec<VariableId> {
+        let (n, mut meets) = (self.n_seen(), self.meets());
+        let straight = self.roles.iter().enumerate().filter(|(_, role)| **role == Role::Straight);
+        straight.for_each(|(p, _)| meets[p * n + p] = false);
+        self.least_nonlinear(&meets)
+    }
+
+    fn least_nonlinear(&self, meets: &[bool]) -> Vec<VariableId> {
+        let n = self.n_seen();
         let mut nonlinear: Vec<bool> = (0..n).map(|p| meets[p * n + p]).collect();
         // Of those that are multiplied with each other, the ones that meet most others first.
         loop {
@@ -70,15 +82,9 @@ impl Posed {
             let (a, b) = (self.estimands.experiment[VariableId(i)], self.estimands.experiment[VariableId(j)]);
             a.is_none() || b.is_none() || a == b
         };
-        let is_plain = |i: usize| self.estimands.transforms[VariableId(i)] != Transform::Log;
         let multiplied = |i: usize, j: usize| {
             let (p, q) = (seen(i), seen(j));
-            is_plain(i)
-                && is_plain(j)
-                && meets[p * n + q]
-                && !meets[p * n + p]
-                && !meets[q * n + q]
-                && together(i, j)
+            meets[p * n + q] && !meets[p * n + p] && !meets[q * n + q] && together(i, j)
         };
         let all = (0..self.n_model_parameters).flat_map(|j| (0..j).map(move |i| (i, j)));
         all.filter(|&(i, j)| multiplied(i, j)).map(|(i, j)| (VariableId(i), VariableId(j))).collect()
@@ -95,8 +101,6 @@ impl Posed {
                 (meets[r * n + c], meets[c * n + r]) = (true, true);
             }
         }
-        let straight = self.roles.iter().enumerate().filter(|(_, role)| **role == Role::Straight);
-        straight.for_each(|(p, _)| meets[p * n + p] = false);
         meets
     }
 

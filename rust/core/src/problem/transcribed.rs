@@ -58,6 +58,10 @@ impl<T: Transcribed> Separable for T {
         self.posed().nonlinear()
     }
 
+    fn nonlinear_by_parameters(&self) -> Vec<VariableId> {
+        self.posed().nonlinear_by_parameters()
+    }
+
     fn products(&self) -> Vec<(VariableId, VariableId)> {
         self.posed().products()
     }

@@ -66,8 +66,12 @@ impl Regression<'_> {
         self.here.copy(start);
         std::mem::swap(&mut self.nonlinear, &mut self.nonlinear_by_parameters);
         self.by_parameters = true;
-        let found = if self.is_separable() { self.descend() } else { Some(self.regress()) };
-        let place = found.and_then(|()| self.criterion());
+        let place = if self.is_separable() {
+            self.descend().and_then(|()| self.criterion())
+        } else {
+            self.regress();
+            self.criterion()
+        };
         self.by_parameters = false;
         std::mem::swap(&mut self.nonlinear, &mut self.nonlinear_by_parameters);
         place.map(|criterion| (criterion, self.here.clone()))

@@ -76,6 +76,15 @@ def test_standard_errors_are_those_of_repeated_records() -> None:
         assert abs(values.mean() - TRUTH[name]) < 4.0 * told / np.sqrt(60)
 
 
+@pytest.mark.parametrize("seed", [17, 23, 38])
+def test_no_standard_deviation_is_led_to_zero_by_states_that_are_their_measurements(seed: int) -> None:
+    e = record(seed)
+    fit = ph.estimate(decay(k=ph.Parameter(0.5)), e)
+    assert fit.converged
+    assert fit.log_likelihood == pytest.approx(by_hand(e)[1], abs=1e-5)
+    assert all(np.isfinite(p.std_error) for p in fit.parameters.values())
+
+
 def test_other_densities_take_expressions_too() -> None:
     random = np.random.default_rng(5)
     x = 3.0 * np.exp(-0.8 * T)

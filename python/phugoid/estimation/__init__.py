@@ -64,8 +64,8 @@ def estimate(
     Where a run by `Collocation` with `Newton` ends without an optimum, or at one at which no output is matched well
     (R² below 0.5), other ways from the same start are tried in turn: where outputs are densely sampled and ``start`` is
     not a fit, estimates with output injection (states are driven towards the measurements, with a gain that falls to
-    zero), a regression on the initial paths of the states, steps along paths that satisfy the equations, and the exact
-    Hessian. The message says which one led to the result.
+    zero), a regression on the initial paths of the states, steps along paths that satisfy the equations, the exact
+    Hessian, and the restarts that ``Newton(restarts=...)`` asks for. The message says which one led to the result.
     A fit without ``solver`` and ``start`` is first tried with the noise fixed at the spread of the measurements, too;
     a warning says where the likelihood was higher before. ``max_iterations`` below 200 leaves all this out.
 

@@ -38,7 +38,9 @@ class Newton:
     repeated from the best optimum so far with some of the parameters drawn within their bounds, until so many restarts
     in succession have brought no gain. None: twenty, and two for each parameter, or eight in succession that end at the
     same optimum; the latter do not count where the model matches an output worse than a constant does. 0: none; the
-    optimum is that next to the start.
+    optimum is that next to the start. In any other estimation by collocation a number asks for at most so many restarts
+    where neither the start values nor the other ways from them lead to an optimum that matches the outputs well: their
+    parameters are the start values multiplied by random factors from a tenth to ten. None: none.
     ``time_limit`` in seconds, for the whole estimation; the best point so far is the result.
     """
 

@@ -56,6 +56,12 @@ impl Transform {
         if self == Transform::Log { 0.5 * std::f64::consts::LN_10 } else { f64::INFINITY }
     }
 
+    /// η after a step dη by which the parameter is to change linearly: p + (dp/dη) dη, but no less than a tenth of what has a
+    /// logarithm.
+    pub fn moved(self, eta: f64, step: f64) -> f64 {
+        if self == Transform::Log { eta + (1.0 + step).max(0.1).ln() } else { eta + step }
+    }
+
     /// Returns the name of the variable of a parameter.
     pub fn name(self, parameter: &str) -> String {
         match self {

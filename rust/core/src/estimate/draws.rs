@@ -48,6 +48,20 @@ impl<'a> Draws<'a> {
         self.redrawn(at, &shares)
     }
 
+    /// Multiplies all parameters by factors of up to ten; those that are 0 are drawn anew, and those that would leave their
+    /// bounds stay.
+    pub fn multiplied(&mut self, at: &Values) -> Values {
+        let mut found = at.clone();
+        for &i in &self.free {
+            let (x, value, p) = (2.0 * self.random.f64() - 1.0, at[i].1, &self.parameters[i]);
+            let other = if value == 0.0 { 3.0 * x } else { value * 10f64.powf(x) };
+            if p.lower.is_none_or(|low| low < other) && p.upper.is_none_or(|high| other < high) {
+                found[i].1 = other;
+            }
+        }
+        found
+    }
+
     /// Returns whether the draw of this number moves all parameters.
     pub fn moves(number: usize) -> bool {
         number % 3 == 2

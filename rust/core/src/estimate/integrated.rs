@@ -8,6 +8,7 @@ use super::print::short;
 use super::run::Watch;
 use super::{Estimation, Transcription};
 use crate::collocation::{self, Collocation};
+use crate::condition::End;
 use crate::error::{Error, ErrorKind};
 use crate::experiment::Experiment;
 use crate::interrupt::{Interrupt, current};
@@ -91,12 +92,18 @@ impl Estimation<'_> {
         let no_solution = !fit.feasible && integrated.is_finite();
         let differs = no_solution || (integrated - fit.log_likelihood).abs() > DIFFERENT;
         let may_refine = self.refine.is_some() || self.follows_motion();
-        if !differs || !may_refine || fit.status.was_stopped() || current().stops() {
+        // On a given mesh, too, "infeasible" would be wrong where the model can be integrated.
+        let is_wrong = no_solution && fit.status == Status::Infeasible && self.integration_is_a_solution();
+        if !differs || !(may_refine || is_wrong) || fit.status.was_stopped() || current().stops() {
             return Ok(());
         }
         let is_as_likely =
             |finer: &Fit| finer.feasible && finer.integrated.is_some_and(|l| l > integrated - DIFFERENT);
-        if let Some(mut finer) = self.along_the_motion(&fit.values(), f64::NEG_INFINITY, FINEST, watch)? {
+        let finer = match may_refine {
+            true => self.along_the_motion(&self.values_of(fit), f64::NEG_INFINITY, FINEST, watch)?,
+            false => None,
+        };
+        if let Some(mut finer) = finer {
             self.compare_with_integration(&mut finer);
             if is_as_likely(&finer) {
                 finer.iterations += fit.iterations;
@@ -115,11 +122,17 @@ impl Estimation<'_> {
         Ok(())
     }
 
+    /// Returns whether a path that is integrated from initial states is a solution of all equations: not where conditions are
+    /// given for the end of a record, which it need not meet.
+    fn integration_is_a_solution(&self) -> bool {
+        self.own_solver.is_none() && !self.model.conditions.iter().any(|c| c.end != End::Initial)
+    }
+
     /// Returns the fit along the model integrated with the parameters where a run ended at a path that is no solution.
     fn at_the_motion(&self, fit: &Fit, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
         let solver = Settings { max_iterations: 0, ..self.solver.clone() };
         let held = Estimation { solver, ..self.clone() };
-        let still = held.along_the_motion(&fit.values(), f64::NEG_INFINITY, FINEST, watch)?;
+        let still = held.along_the_motion(&self.values_of(fit), f64::NEG_INFINITY, FINEST, watch)?;
         Ok(still.map(|mut still| {
             let is_wrong = fit.status == Status::Infeasible || fit.status.is_end();
             still.status = if is_wrong { Status::IterationLimit } else { fit.status };

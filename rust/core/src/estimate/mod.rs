@@ -268,7 +268,9 @@ impl<'a> Estimation<'a> {
     }
 
     /// With a mesh that follows the motion: restarts from other parameters without a gain until the search for better optima
-    /// ends; twenty, and two for each parameter, or eight that end at the same optimum, unless said.
+    /// ends; twenty, and two for each parameter, or eight that end at the same optimum, unless said. On any other mesh: most
+    /// restarts from start values multiplied by random factors, where no other way ends at an optimum that matches the outputs
+    /// well; none, unless said.
     pub fn restarts(mut self, restarts: usize) -> Self {
         self.restarts = Some(restarts);
         self
@@ -276,7 +278,7 @@ impl<'a> Estimation<'a> {
 
     /// Whether other ways from the start are tried where a run ends without an optimum, or at one at which no output is matched
     /// well: estimates with output injection whose gain falls to zero, a regression, steps along consistent paths, the exact
-    /// Hessian, and, where neither a start nor a solver is given, a run with the noise held first. They are, unless said.
+    /// Hessian, restarts where they are asked for, and, where neither a start nor a solver is given, a run with the noise held first. They are, unless said.
     pub fn other_ways(mut self, try_them: bool) -> Self {
         self.other_ways = try_them;
         self

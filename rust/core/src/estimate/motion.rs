@@ -13,8 +13,9 @@ use crate::experiment::{Experiment, Signal};
 use crate::mesh::Grid;
 use crate::simulate::Simulation;
 
-/// Most steps in a record, and most time of an integration.
+/// Most steps in a record, more where nothing is iterated on them, and most time of an integration.
 const MOST: usize = 2_000;
+const MOST_AT_REST: usize = 20_000;
 const LONGEST: Duration = Duration::from_secs(5);
 /// Steps shorter than this part of a record are none.
 const APART: f64 = 1e-12;
@@ -45,12 +46,24 @@ impl Estimation<'_> {
 
     /// Whether samples are few, and the parameters tell where the motion begins: then the likelihood is one of the parameters.
     pub(super) fn parameters_tell_motion(&self) -> bool {
-        let known = |state: &str| {
-            let mut conditions = self.model.conditions.iter();
-            conditions.any(|c| c.end == End::Initial && c.state == state)
-                && !self.start.iter().any(|s| s.0 == state)
-        };
+        let known = |state: &str| self.is_told(state) && !self.start.iter().any(|s| s.0 == state);
         self.few_samples() && self.model.states.iter().all(|s| known(&s.name))
+    }
+
+    /// Returns whether a condition of the model tells the initial value of a state.
+    fn is_told(&self, state: &str) -> bool {
+        self.model.conditions.iter().any(|c| c.end == End::Initial && c.state == state)
+    }
+
+    /// Returns the parameters of a fit, and the initial states that no condition tells.
+    pub(super) fn values_of(&self, fit: &Fit) -> Values {
+        let mut values = fit.values();
+        for record in &fit.records {
+            let paths = self.model.states.iter().zip(&record.mesh_states);
+            let free = paths.filter(|(state, _)| !self.is_told(&state.name));
+            values.extend(free.map(|(state, x)| (format!("{}[{}]", state.name, record.name), x[0])));
+        }
+        values
     }
 
     /// Simulates all experiments with some values of the parameters, from the model's initial conditions. None where one of
@@ -67,10 +80,16 @@ impl Estimation<'_> {
                 let own = of(&format!("{}[{}]", p.name, run.name)).or_else(|| of(&p.name));
                 simulation = simulation.parameter(&p.name, own.unwrap_or(p.start));
             }
+            for state in &self.model.states {
+                if let Some(x) = of(&format!("{}[{}]", state.name, run.name)) {
+                    simulation = simulation.initial(&state.name, x);
+                }
+            }
             simulation
         };
         let path = simulation(run).run().ok()?;
-        if path.steps.len() > MOST {
+        let most = if self.solver.max_iterations == 0 { MOST_AT_REST } else { MOST };
+        if path.steps.len() > most {
             return None;
         }
         let steps = apart(&path.steps);

@@ -178,7 +178,7 @@ impl<'a, 'b> MovingMesh<'a, 'b> {
             self.sound = Some((before, l));
         }
         let stopped = found.status.was_stopped() && !lost;
-        self.at = found.values();
+        self.at = self.estimation.values_of(&found);
         self.runs = if lost || stopped && self.sound.is_none() { None } else { self.simulated() };
         let off = self.runs.as_ref().map_or(f64::INFINITY, |runs| found.departure(runs));
         Ok(Some(Pass { found, lost, stopped, off }))
@@ -207,7 +207,7 @@ impl<'a, 'b> MovingMesh<'a, 'b> {
     fn go_back(&mut self, pass: Pass) -> bool {
         let Some((kept, _)) = &self.sound else { return false };
         let mut back = kept.clone();
-        self.at = back.values();
+        self.at = self.estimation.values_of(&back);
         self.astray += 1;
         if pass.stopped {
             (back.status, back.message) = (pass.found.status, pass.found.message);

@@ -1,10 +1,14 @@
 //! Other ways to an optimum, where a run from the start ends without one or at a poor one.
 
-use super::Estimation;
+use std::time::Duration;
+
+use super::draws::Draws;
 use super::fit::{Fit, Record};
+use super::motion::Values;
 use super::noise::spread;
 use super::print::short;
 use super::run::Watch;
+use super::{Estimation, Start};
 use crate::error::{Error, ErrorKind};
 use crate::interrupt::current;
 use crate::noise::{Joint, NoiseModel, Scale};
@@ -33,10 +37,17 @@ enum Way {
     Regression,
     ConsistentPaths,
     ExactHessian,
+    OtherParameters,
 }
 
 impl Way {
-    const ALL: [Way; 4] = [Way::OutputInjection, Way::Regression, Way::ConsistentPaths, Way::ExactHessian];
+    const ALL: [Way; 5] = [
+        Way::OutputInjection,
+        Way::Regression,
+        Way::ConsistentPaths,
+        Way::ExactHessian,
+        Way::OtherParameters,
+    ];
 
     /// Returns whether it takes about as long as a run from the start values.
     fn is_quick(self) -> bool {
@@ -48,6 +59,7 @@ impl Way {
             Way::Regression => "a regression on the initial paths of the states",
             Way::ConsistentPaths => "steps along paths that satisfy the equations",
             Way::ExactHessian => "steps with the exact Hessian",
+            Way::OtherParameters => "runs from other parameters, drawn at random",
             Way::OutputInjection => "estimates with output injection, whose gain falls to zero",
         }
     }
@@ -100,6 +112,7 @@ impl Estimation<'_> {
     fn end_of(&self, way: Way, fit: &Fit, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
         let found = match self.by(way) {
             Some(other) => other.solve_refined(watch).map(Some),
+            None if matches!(way, Way::OtherParameters) => self.with_other_parameters(watch),
             None if self.output_injection && matches!(way, Way::OutputInjection) => {
                 self.led_by_injection(fit, watch)
             }
@@ -109,6 +122,46 @@ impl Estimation<'_> {
             Err(e) if e.kind() == ErrorKind::Evaluation => Ok(None),
             found => found,
         }
+    }
+
+    /// Returns the best of runs from parameters drawn about the start values, of which the first that ends well is the last;
+    /// `None` unless restarts were asked for.
+    fn with_other_parameters(&self, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
+        let parameters = &self.model.parameters;
+        let any = parameters.iter().any(|p| !p.fixed && !p.local);
+        let Some(restarts) = self.restarts.filter(|_| any) else { return Ok(None) };
+        let values: Values = parameters.iter().map(|p| p.name.clone()).zip(self.parameters()?).collect();
+        let mut draws = Draws::new(parameters, &values);
+        let (mut best, mut iterations, mut time): (Option<Fit>, _, _) = (None, 0, Duration::ZERO);
+        for _ in 0..restarts {
+            if current().stops() || best.as_ref().is_some_and(|best| !best.is_poor()) {
+                break;
+            }
+            let mut other = self.clone();
+            let drawn = draws.multiplied(&values).into_iter();
+            other.start.extend(drawn.map(|(name, value)| (name, Start::Value(value))));
+            let found = match other.solve_refined(watch) {
+                Err(e) if e.kind() == ErrorKind::Evaluation => continue,
+                found => found?,
+            };
+            iterations += found.iterations;
+            time += found.solution.time;
+            let rank = |fit: &Fit| {
+                (fit.status.is_end(), if fit.feasible { fit.log_likelihood } else { f64::NEG_INFINITY })
+            };
+            let stopped = found.status.was_stopped().then(|| (found.status, found.message.clone()));
+            if best.as_ref().is_none_or(|best| rank(&found) > rank(best)) {
+                best = Some(found);
+            }
+            if let (Some(best), Some(stopped)) = (&mut best, stopped) {
+                (best.status, best.message) = stopped;
+                break;
+            }
+        }
+        Ok(best.map(|mut fit| {
+            (fit.iterations, fit.solution.time) = (iterations, time);
+            fit
+        }))
     }
 
     /// Whether another way may lead elsewhere: not from where a fit ended, where kinks are the reason, where a search from many

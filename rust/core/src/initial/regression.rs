@@ -35,6 +35,9 @@ pub(super) struct Regression<'a> {
     pub free: Vec<usize>,
     /// Of these, which the model is not linear in, the others given.
     pub nonlinear: Vec<bool>,
+    /// The same where logarithms take steps of their parameters, and whether they do now.
+    pub(super) nonlinear_by_parameters: Vec<bool>,
+    pub(super) by_parameters: bool,
     /// Number of states.
     pub n_x: usize,
     /// The profiled variables at the start.
@@ -99,21 +102,24 @@ impl<'a> Regression<'a> {
     /// From a point of a program. `None` where there are no chains, or nothing is free.
     pub fn new(nlp: &'a dyn Separable, program: &'a Program<'a>, point: Point) -> Option<Regression<'a>> {
         let chains = nlp.chains()?;
-        let profiled = nlp.profiled();
-        let free: Vec<usize> = (0..chains.border)
-            .filter(|i| !profiled.contains(i) && program.lower[*i] < program.upper[*i])
-            .collect();
+        let (profiled, of_noise) = (nlp.profiled(), nlp.of_noise());
+        // Residuals are zero where a measurement is the state, and then say nothing of the noise.
+        let is_held = |i: usize| profiled.contains(&i) || of_noise.contains(&VariableId(i));
+        let free: Vec<usize> =
+            (0..chains.border).filter(|&i| !is_held(i) && program.lower[i] < program.upper[i]).collect();
         if free.is_empty() {
             return None;
         }
         let mut place = vec![usize::MAX; chains.border];
         free.iter().enumerate().for_each(|(k, &i)| place[i] = k);
-        let nonlinear = nlp.nonlinear();
+        let among = |found: Vec<VariableId>| free.iter().map(|&i| found.contains(&VariableId(i))).collect();
         Some(Regression {
             program,
             nlp,
             trial: point.clone(),
-            nonlinear: free.iter().map(|&i| nonlinear.contains(&VariableId(i))).collect(),
+            nonlinear: among(nlp.nonlinear()),
+            nonlinear_by_parameters: among(nlp.nonlinear_by_parameters()),
+            by_parameters: false,
             first: point.xi[profiled.clone()].to_vec(),
             normal: Normal::new(nlp.jacobian_structure(), &place, free.len(), program.units.rows),
             n_x: chains.n_x,
@@ -141,9 +147,8 @@ impl<'a> Regression<'a> {
             let mut gained = None;
             while alpha > 0.05 {
                 self.trial.xi.copy_from_slice(&self.here.xi);
-                for (&i, d) in self.free.iter().zip(step.iter()) {
-                    let x = &mut self.trial.xi[i];
-                    *x = self.program.within(i, alpha.mul_add(*d, *x));
+                for (k, d) in step.iter().enumerate() {
+                    self.trial.xi[self.free[k]] = self.moved(k, alpha * d);
                 }
                 if self.trial.evaluate(self.program).is_ok() {
                     std::mem::swap(&mut self.here, &mut self.trial);
@@ -173,6 +178,14 @@ impl<'a> Regression<'a> {
         if !done || astray || self.here.evaluate(self.program).is_err() {
             self.here.copy(&start);
         }
+    }
+
+    /// Returns the free variable of this number after a step.
+    pub(super) fn moved(&self, k: usize, step: f64) -> f64 {
+        let (i, x) = (self.free[k], self.here.xi[self.free[k]]);
+        let of_parameter = self.by_parameters && !self.nonlinear[k];
+        let to = if of_parameter { self.nlp.moved(VariableId(i), x, step) } else { x + step };
+        self.program.within(i, to)
     }
 
     /// Squared norm of the column of each free parameter in the scaled Jacobian of the constraints.

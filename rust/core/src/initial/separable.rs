@@ -36,20 +36,45 @@ impl Regression<'_> {
     pub fn regress_separably(&mut self) -> Option<Point> {
         let start = self.here.clone();
         let own = self.descend().and_then(|()| self.criterion());
-        let own = own.map(|criterion| (criterion, self.here.clone()));
+        let mut own = own.map(|criterion| (criterion, self.here.clone()));
         if own.is_none() {
             self.here.copy(&start);
         }
+        let by_parameters = self.regress_by_parameters(&start);
         let by_products = self.regress_with_products(&start);
         let mut others = self.other_places(&start.xi, FEW);
         others.extend(by_products);
         others.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let nearer = by_parameters.filter(|by| own.as_ref().is_none_or(|own| by.0 < own.0));
+        let left = if nearer.is_some() { std::mem::replace(&mut own, nearer) } else { None };
         let most = own.as_ref().map_or(f64::INFINITY, |o| o.0 - BETTER * start.c.len() as f64);
         let mut from = own.map_or(start, |o| o.1);
         let better = others.into_iter().next().filter(|o| o.0 < most);
         let alternative = better.map(|(_, best)| std::mem::replace(&mut from, best));
         self.here = from;
-        alternative
+        alternative.or(left.map(|o| o.1))
+    }
+
+    /// Regresses with steps of the parameters whose logarithms are variables, where the model is linear in some of them: the
+    /// place with its criterion. `None` where there are none, or it leads nowhere.
+    ///
+    /// From there no start is too far away, but noise in the states may make a parameter negative, which no logarithm is.
+    fn regress_by_parameters(&mut self, start: &Point) -> Option<(f64, Point)> {
+        if self.nonlinear_by_parameters == self.nonlinear {
+            return None;
+        }
+        self.here.copy(start);
+        std::mem::swap(&mut self.nonlinear, &mut self.nonlinear_by_parameters);
+        self.by_parameters = true;
+        let place = if self.is_separable() {
+            self.descend().and_then(|()| self.criterion())
+        } else {
+            self.regress();
+            self.criterion()
+        };
+        self.by_parameters = false;
+        std::mem::swap(&mut self.nonlinear, &mut self.nonlinear_by_parameters);
+        place.map(|criterion| (criterion, self.here.clone()))
     }
 
     /// Places to start from after those of `regress_separably`.
@@ -113,9 +138,8 @@ impl Regression<'_> {
     }
 
     pub(super) fn move_by(&mut self, step: &[f64]) {
-        for (&i, d) in self.free.iter().zip(step) {
-            let x = &mut self.here.xi[i];
-            *x = self.program.within(i, *x + d);
+        for (k, d) in step.iter().enumerate() {
+            self.here.xi[self.free[k]] = self.moved(k, *d);
         }
     }
 

@@ -198,9 +198,21 @@ pub trait Nlp: Named + Send + Sync {
 pub trait Separable: Nlp {
     /// Border variables in which outputs and constraints are not linear, jointly linear in the other ones.
     fn nonlinear(&self) -> Vec<VariableId>;
+    /// The same where logarithms take steps of their parameters ([`Separable::moved`]).
+    fn nonlinear_by_parameters(&self) -> Vec<VariableId> {
+        self.nonlinear()
+    }
     /// Pairs of border variables that are multiplied with each other, and in neither of which outputs and constraints are
     /// nonlinear by itself.
     fn products(&self) -> Vec<(VariableId, VariableId)>;
+    /// Border variables on which the noise alone depends.
+    fn of_noise(&self) -> Vec<VariableId> {
+        Vec::new()
+    }
+    /// Where a step leads from x along which outputs and constraints are linear: the variable may be a logarithm.
+    fn moved(&self, _i: VariableId, x: f64, step: f64) -> f64 {
+        x + step
+    }
     /// Moves these variables to another place to start from; which one, `draw` says.
     fn move_elsewhere(&self, xi: &mut [f64], variables: &[VariableId], draw: u64);
 }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use super::estimands::{Estimands, ParameterMap};
 use super::samples::Samples;
+use super::separable::{Role, roles};
 use crate::error::{Error, ErrorKind};
 use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
@@ -26,6 +27,8 @@ pub struct Posed {
     pub parameters: IndexVec<VariableId, Parameter>,
     /// Number of variables that are parameters of the model.
     pub n_model_parameters: usize,
+    /// How f, g and the noise depend on each parameter of the model.
+    pub(crate) roles: Vec<Role>,
     /// The parameter and the experiment of each variable.
     pub estimands: Estimands,
     /// The noise model.
@@ -150,6 +153,7 @@ impl Posed {
         // All functions of a point see all parameters, so that θ has one order everywhere.
         let mut graph = compiled.graph.clone();
         let noise_symbols: Vec<Id> = noise_names.iter().map(|name| graph.symbol(name)).collect();
+        let roles = roles(&mut graph.clone(), &seen[..n_model], &compiled);
         let (variables, compiled) = in_variables(&mut graph, &seen[..n_model], compiled);
         let theta: Vec<Id> = variables.iter().chain(&noise_symbols).copied().collect();
         let arguments =
@@ -183,6 +187,7 @@ impl Posed {
 
         let posed = Posed {
             n_model_parameters,
+            roles,
             parameters: parameters.into_iter().collect(),
             estimands,
             noise,

@@ -1,17 +1,64 @@
 //! Separable least squares: the parameters that the model is linear in, the others given.
 
 use super::posed::Posed;
+use crate::expr::graph::{Graph, Id};
 use crate::index::VariableId;
+use crate::model::{Compiled, Parameter};
 use crate::transform::Transform;
 
 /// Greatest factor by which another point to try differs.
 const FACTOR: f64 = 5.0;
 
+/// How f, g and the noise depend on a parameter of the model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Role {
+    /// The variable is a logarithm, and f and g are linear in the parameter.
+    Straight,
+    /// Standard deviations depend on it, f and g do not.
+    OfNoise,
+    Other,
+}
+
+/// Returns the role of each parameter.
+pub(crate) fn roles(graph: &mut Graph, parameters: &[Parameter], compiled: &Compiled) -> Vec<Role> {
+    let of_model: Vec<Id> = compiled.dynamics.iter().chain(&compiled.outputs).copied().collect();
+    let scales: Vec<Id> = compiled.scales.iter().flatten().copied().collect();
+    let mut depends = |roots: &[Id], p: Id| roots.iter().any(|&root| graph.gradient(root, &[p])[0].is_some());
+    let of_noise: Vec<bool> =
+        compiled.parameters.iter().map(|&p| depends(&scales, p) && !depends(&of_model, p)).collect();
+    let mut is_linear = |p: Id| of_model.iter().all(|&root| graph.hessian(root, &[p]).values.is_empty());
+    let each = parameters.iter().zip(&compiled.parameters).zip(of_noise);
+    each.map(|((p, &symbol), of_noise)| match p.transform {
+        _ if of_noise => Role::OfNoise,
+        Transform::Log if is_linear(symbol) => Role::Straight,
+        _ => Role::Other,
+    })
+    .collect()
+}
+
 impl Posed {
+    /// Variables that are parameters of the noise alone, as the model has them in expressions.
+    pub(crate) fn of_noise(&self) -> Vec<VariableId> {
+        let of_model = (0..self.n_model_parameters).map(VariableId);
+        of_model.filter(|&i| self.roles[self.estimands.parameter[i].0] == Role::OfNoise).collect()
+    }
+
     /// Variables that are parameters of the model in which f and g are not linear, the least number such that they
     /// are jointly linear in all others, as far as a greedy choice finds it.
     pub(crate) fn nonlinear(&self) -> Vec<VariableId> {
-        let (n, meets) = (self.n_seen(), self.meets());
+        self.least_nonlinear(&self.meets())
+    }
+
+    /// The same where a logarithm takes steps of its parameter, if f and g are linear in that.
+    pub(crate) fn nonlinear_by_parameters(&self) -> Vec<VariableId> {
+        let (n, mut meets) = (self.n_seen(), self.meets());
+        let straight = self.roles.iter().enumerate().filter(|(_, role)| **role == Role::Straight);
+        straight.for_each(|(p, _)| meets[p * n + p] = false);
+        self.least_nonlinear(&meets)
+    }
+
+    fn least_nonlinear(&self, meets: &[bool]) -> Vec<VariableId> {
+        let n = self.n_seen();
         let mut nonlinear: Vec<bool> = (0..n).map(|p| meets[p * n + p]).collect();
         // Of those that are multiplied with each other, the ones that meet most others first.
         loop {

@@ -58,8 +58,20 @@ impl<T: Transcribed> Separable for T {
         self.posed().nonlinear()
     }
 
+    fn nonlinear_by_parameters(&self) -> Vec<VariableId> {
+        self.posed().nonlinear_by_parameters()
+    }
+
     fn products(&self) -> Vec<(VariableId, VariableId)> {
         self.posed().products()
+    }
+
+    fn of_noise(&self) -> Vec<VariableId> {
+        self.posed().of_noise()
+    }
+
+    fn moved(&self, i: VariableId, x: f64, step: f64) -> f64 {
+        self.posed().estimands.transforms.get(i).map_or(x + step, |t| t.moved(x, step))
     }
 
     fn move_elsewhere(&self, xi: &mut [f64], variables: &[VariableId], draw: u64) {

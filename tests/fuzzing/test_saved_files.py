@@ -1,4 +1,4 @@
-"""Two thousand mutations of saved models, fits, diagnoses and records, in full size ten thousand: errors of phugoid
+"""Two thousand mutations of saved models, fits, diagnoses and records, in full size five thousand: errors of phugoid
 alone, within 1 GB of memory.
 
 ``PHUGOID_MUTATIONS`` says another number, ``PHUGOID_SEED`` another seed.
@@ -19,7 +19,7 @@ import saved_files
 
 
 def test_mutated_files_lead_to_errors_of_phugoid_alone(full_size: bool) -> None:
-    usual = "10000" if full_size else "2000"
+    usual = "5000" if full_size else "2000"
     count, seed = int(os.environ.get("PHUGOID_MUTATIONS", usual)), int(os.environ.get("PHUGOID_SEED", "0"))
     counts, failures = saved_files.run(count, seed)
     assert not failures, "\n".join(f"{number}: {text}" for number, text in failures.items())

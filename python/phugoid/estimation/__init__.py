@@ -177,7 +177,9 @@ def _estimate(
     if absent := [f"'{e.name}' without {', '.join(sorted(e._unmeasured))}" for e in experiments if e._unmeasured]:
         listed = "; ".join(absent[:5]) + ("; ..." if len(absent) > 5 else "")
         fit = replace(fit, warnings=(*fit.warnings, f"not every experiment measures all outputs: {listed}"))
-    if unused := model.unused_quantities:
+    # Without parameters it is there to be looked at; one with parameters was meant to act.
+    parameters = {*model.parameter_names}
+    if unused := [n for n in model.unused_quantities if parameters.intersection(model.equations[n].symbols)]:
         text = f"no equation uses the quantity {', '.join(unused)}: write its symbol where it acts, or leave it out"
         fit = replace(fit, warnings=(*fit.warnings, text))
     if isinstance(start, FitResult) and (worse := _worse_than_start(fit, start)):

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
+from .._core import random_effects
 from ..residual_noise.whitening import Filter, MultivariateWhitening, Whitening
 from ..solvers import check_time
 from .linearised import Linearised
@@ -304,7 +304,7 @@ class RandomEffects:
 
         check_time()
         products = self._grams, self._with_r, self._squares, self._counts
-        found = _core.random_effects(products, self.k, self._prior, x, maximised)
+        found = random_effects(products, self.k, self._prior, x, maximised)
         if found is None:
             raise np.linalg.LinAlgError("the normal equations of the random coefficients are not positive definite")
         x, value, mean, factor, unknowns = found

@@ -36,10 +36,7 @@ help:
 	@echo "make docs     the documentation, in out/docs   make wheels   wheel and sdist, in out/wheels, tried"
 	@echo "make clean    removes .venv, target and out"
 
-# The package is built while the tests in Rust are: one of two cores would often wait.
-test:
-	$(MAKE) --jobs=2 test-rust $(VENV)/.ipopt
-	$(MAKE) test-python
+test: test-rust test-python
 
 # Long campaigns, of which `make test` runs a part of the cases, are run with all of them.
 test-all: export PHUGOID_FULL := 1

@@ -36,6 +36,7 @@ __all__ = [
     "operations",
     "parameter_start",
     "play",
+    "random_effects",
     "rate_limited",
     "simulate",
     "state_start",

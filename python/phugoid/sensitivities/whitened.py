@@ -223,10 +223,11 @@ class RandomEffects:
 
     def __init__(self, linear: Linearised, answers: _Array, filter: Filter | None = None) -> None:
         self.linear, self.k = linear, answers.shape[0]
-        # d = root e: of e the products are known, and the prior as the inverse of its correlation.
-        self._root: _Array | None = None
-        self._prior: tuple[_Array, float] = (np.empty((0, 0)), 0.0)
-        self._spread: _Array | None = None  # Cholesky's factor of that correlation
+        # (d, b) = root (e, b): of e the products are known, Cholesky's factor of its correlation, and its prior: the
+        # inverse of the correlation, and the logarithm of its determinant.
+        self._root = np.eye(self.k + linear.tangents.shape[1])
+        self._spread = np.eye(self.k)
+        self._prior = np.eye(self.k), 0.0
         self._effects = np.hstack([answers.T, linear.tangents])
         lines = [slice(line[0].start, line[-1].stop) for line in linear.rows]
         self._counts = np.array([s.stop - s.start for s in lines], dtype=float)
@@ -255,7 +256,7 @@ class RandomEffects:
             other._spread = spread
             other._prior = np.ascontiguousarray(inverse.T @ inverse), 2.0 * float(np.log(pivots).sum())
         else:  # the inverse would be rounding
-            root = np.eye(self._effects.shape[1])
+            root = self._root.copy()
             root[: self.k, : self.k] = spread
             other._root = root
             other._grams = np.ascontiguousarray(root.T @ self._grams @ root)
@@ -279,9 +280,8 @@ class RandomEffects:
         beside = np.linalg.solve(others, np.column_stack([gram[k:, :k], right[k:]]))
         information = gram[:k, :k] - gram[:k, k:] @ beside[:, :-1]
         score = right[:k] - gram[:k, k:] @ beside[:, -1]
-        if self._spread is not None:  # of independent coefficients
-            information = self._spread.T @ information @ self._spread
-            score = self._spread.T @ score
+        # Of independent coefficients.
+        information, score = self._spread.T @ information @ self._spread, self._spread.T @ score
         sizes, vectors = np.linalg.eigh(0.5 * (information + information.T))
         known = variance * sizes > 1.0
         along = vectors[:, known].T @ score
@@ -311,10 +311,9 @@ class RandomEffects:
         noise = np.exp(x[1:]) * self._units**2
         # In units of the noise as fitted the density is another.
         log_likelihood = -0.5 * value + self._constant
-        root = np.eye(mean.size) if self._root is None else self._root
-        half, _ = dtrtrs(factor.T, root[: self.k].T, lower=0, trans=1)
+        half, _ = dtrtrs(factor.T, self._root[: self.k].T, lower=0, trans=1)
         deviations = np.sqrt(np.einsum("ij,ij->j", half, half))
-        mean = mean if self._root is None else self._root @ mean
+        mean = self._root @ mean
         left = self.linear.residuals - self._effects @ mean
         return Marginal(log_likelihood, float(np.exp(x[0])), noise, mean[: self.k], deviations, left, unknowns)
 

@@ -12,8 +12,7 @@ type Found<'py> = (Bound<'py, PyArray1<f64>>, f64, Bound<'py, PyArray1<f64>>, Bo
 /// The likelihood of residuals of n_y outputs with k random coefficients at logarithms `x` of the variances (1 + n_y), or
 /// from there at its maximum; `None` where the normal equations are not positive definite. `products` are those of the
 /// columns with each other (n_y, m, m), with the residuals (n_y, m), the residuals' squares and the numbers of rows (n_y);
-/// `prior` is the inverse of the coefficients' correlation (k, k), of no rows where they are independent, and the logarithm
-/// of its determinant.
+/// `prior` is the inverse of the coefficients' correlation (k, k), and the logarithm of the determinant of that correlation.
 #[pyfunction]
 #[allow(clippy::type_complexity)]
 pub fn random_effects<'py>(
@@ -31,11 +30,10 @@ pub fn random_effects<'py>(
 ) -> PyResult<Option<Found<'py>>> {
     let (grams, with_r, squares, counts) = &products;
     let (n_y, m) = with_r.as_array().dim();
-    let rows = prior.0.as_array().nrows();
     if grams.as_array().dim() != (n_y, m, m)
         || (squares.as_array().len(), counts.as_array().len(), x.as_array().len()) != (n_y, n_y, n_y + 1)
         || k > m
-        || (rows != 0 && prior.0.as_array().dim() != (k, k))
+        || prior.0.as_array().dim() != (k, k)
     {
         return Err(PyValueError::new_err(format!(
             "there are {n_y} outputs, {m} columns, {k} of them random"
@@ -47,7 +45,7 @@ pub fn random_effects<'py>(
         with_r: with_r.as_slice()?,
         squares: squares.as_slice()?,
         counts: counts.as_slice()?,
-        precision: if rows == 0 { &[] } else { prior.0.as_slice()? },
+        precision: prior.0.as_slice()?,
         log_det: prior.1,
     };
     let x = x.as_slice()?;

@@ -158,7 +158,7 @@ pub fn solve(c: &[f64], b: &mut [f64], n: usize, columns: usize) {
         for j in 0..i {
             let factor = c[i * n + j];
             let (above, row) = b.split_at_mut(i * columns);
-            subtract(&mut row[..columns], factor, &above[j * columns..(j + 1) * columns]);
+            axpy(&mut row[..columns], -factor, &above[j * columns..(j + 1) * columns]);
         }
         b[i * columns..(i + 1) * columns].iter_mut().for_each(|v| *v /= c[i * n + i]);
     }
@@ -166,23 +166,16 @@ pub fn solve(c: &[f64], b: &mut [f64], n: usize, columns: usize) {
         for j in i + 1..n {
             let factor = c[j * n + i];
             let (above, below) = b.split_at_mut(j * columns);
-            subtract(&mut above[i * columns..(i + 1) * columns], factor, &below[..columns]);
+            axpy(&mut above[i * columns..(i + 1) * columns], -factor, &below[..columns]);
         }
         b[i * columns..(i + 1) * columns].iter_mut().for_each(|v| *v /= c[i * n + i]);
     }
 }
 
-fn subtract(row: &mut [f64], factor: f64, other: &[f64]) {
-    row.iter_mut().zip(other).for_each(|(r, o)| *r -= factor * o);
-}
-
-/// The inverse of C Cᵀ.
-pub fn inverse(c: &[f64], n: usize) -> Vec<f64> {
-    let mut out = vec![0.0; n * n];
-    (0..n).for_each(|i| out[i * n + i] = 1.0);
-    solve(c, &mut out, n, n);
-    symmetrise(&mut out, n);
-    out
+/// Adds a times `from`.
+#[inline]
+pub fn axpy(to: &mut [f64], a: f64, from: &[f64]) {
+    to.iter_mut().zip(from).for_each(|(t, f)| *t += a * f);
 }
 
 kernel! {

@@ -45,6 +45,11 @@ pub fn inverse_of_first(factor: &[f64], m: usize, k: usize) -> Vec<f64> {
     inverse
 }
 
+/// The inverse of C Cᵀ.
+pub fn inverse(c: &[f64], n: usize) -> Vec<f64> {
+    inverse_of_first(c, n, n)
+}
+
 #[cfg(all(test, feature = "faer"))]
 mod tests {
     use super::{large_by_faer as by_faer, large_by_loops as by_loops};

@@ -1,6 +1,6 @@
 //! The likelihood of residuals with random effects, and its maximum over the variances.
 
-use crate::dense::{backward, cholesky, factorise, forward, inverse_of_first, solve_factorised};
+use crate::dense::{axpy, backward, cholesky, factorise, forward, inverse_of_first, solve_factorised};
 use crate::interrupt::current;
 use crate::simd::kernel;
 
@@ -37,7 +37,7 @@ pub struct RandomEffects<'a> {
     pub squares: &'a [f64],
     /// (n_y) numbers of rows.
     pub counts: &'a [f64],
-    /// (k, k) the inverse of C; empty where C is the identity.
+    /// (k, k) the inverse of C.
     pub precision: &'a [f64],
     /// ln det C.
     pub log_det: f64,
@@ -73,19 +73,15 @@ impl RandomEffects<'_> {
         let weights: Vec<f64> = x[1..].iter().map(|x| (-x).exp()).collect();
         let (mut factor, mut right) = (vec![0.0; m * m], vec![0.0; m]);
         for (y, &weight) in weights.iter().enumerate() {
-            add(&mut factor, weight, &self.grams[y * m * m..][..m * m]);
-            add(&mut right, weight, &self.with_r[y * m..][..m]);
+            axpy(&mut factor, weight, &self.grams[y * m * m..][..m * m]);
+            axpy(&mut right, weight, &self.with_r[y * m..][..m]);
         }
         let largest = |range: std::ops::Range<usize>| range.map(|i| factor[i * m + i]).fold(0.0, f64::max);
         let (ridge, rounding) = (RIDGE * largest(k..m).max(TINY), ROUNDING * largest(0..k));
         (0..k).for_each(|i| factor[i * m + i] += rounding);
         (k..m).for_each(|i| factor[i * m + i] += ridge);
-        if self.precision.is_empty() {
-            (0..k).for_each(|i| factor[i * m + i] += 1.0 / s2);
-        } else {
-            for i in 0..k {
-                add(&mut factor[i * m..][..k], 1.0 / s2, &self.precision[i * k..][..k]);
-            }
+        for i in 0..k {
+            axpy(&mut factor[i * m..][..k], 1.0 / s2, &self.precision[i * k..][..k]);
         }
         cholesky(&mut factor, m, |_| 0.0).ok()?;
         let mut solution = right.clone();
@@ -102,13 +98,8 @@ impl RandomEffects<'_> {
         let size = n_y + 1;
         let (d, b) = solution.split_at(k);
         let (mut squares, mut taken) = (vec![0.0; size], vec![0.0; size]);
-        if self.precision.is_empty() {
-            squares[0] = dot(d, d) / s2;
-            taken[0] = (0..k).map(|i| inverse[i * k + i]).sum::<f64>() / s2;
-        } else {
-            squares[0] = (0..k).map(|i| d[i] * dot(&self.precision[i * k..][..k], d)).sum::<f64>() / s2;
-            taken[0] = dot(self.precision, &inverse) / s2;
-        }
+        squares[0] = (0..k).map(|i| d[i] * dot(&self.precision[i * k..][..k], d)).sum::<f64>() / s2;
+        taken[0] = dot(self.precision, &inverse) / s2;
         // What P of Gilmour, Thompson and Cullis makes of the parts' working variates, which are the coefficients' share
         // of the outputs and the residuals of each output: squares in the metric of the noise, and their projections.
         let mut metric = vec![0.0; size * size];
@@ -208,10 +199,6 @@ impl Marginal {
         step.iter_mut().for_each(|s| *s /= (longest / LONGEST).max(1.0));
         solved.then_some(step)
     }
-}
-
-fn add(to: &mut [f64], factor: f64, what: &[f64]) {
-    to.iter_mut().zip(what).for_each(|(t, w)| *t += factor * w);
 }
 
 kernel! {

@@ -278,7 +278,8 @@ impl<'a> Estimation<'a> {
 
     /// Whether other ways from the start are tried where a run ends without an optimum, or at one at which no output is matched
     /// well: estimates with output injection whose gain falls to zero, a regression, steps along consistent paths, the exact
-    /// Hessian, restarts where they are asked for, and, where neither a start nor a solver is given, a run with the noise held first. They are, unless said.
+    /// Hessian, restarts where they are asked for, and, where neither a start nor a solver is given, a run with the noise held
+    /// first. They are, unless said.
     pub fn other_ways(mut self, try_them: bool) -> Self {
         self.other_ways = try_them;
         self

@@ -58,7 +58,8 @@ impl Regression<'_> {
     /// Regresses with steps of the parameters whose logarithms are variables, where the model is linear in some of them: the
     /// place with its criterion. `None` where there are none, or it leads nowhere.
     ///
-    /// From there no start is too far away, but noise in the states may make a parameter negative, which no logarithm is.
+    /// Reaches the optimum from starts however far away, but noise in the states may make a parameter negative, which no
+    /// logarithm is.
     fn regress_by_parameters(&mut self, start: &Point) -> Option<(f64, Point)> {
         if self.nonlinear_by_parameters == self.nonlinear {
             return None;

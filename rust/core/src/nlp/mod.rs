@@ -209,7 +209,7 @@ pub trait Separable: Nlp {
     fn of_noise(&self) -> Vec<VariableId> {
         Vec::new()
     }
-    /// Where a step leads from x along which outputs and constraints are linear: the variable may be a logarithm.
+    /// Returns where a step leads from x along which outputs and constraints are linear: the variable may be a logarithm.
     fn moved(&self, _i: VariableId, x: f64, step: f64) -> f64 {
         x + step
     }

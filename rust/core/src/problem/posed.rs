@@ -27,7 +27,7 @@ pub struct Posed {
     pub parameters: IndexVec<VariableId, Parameter>,
     /// Number of variables that are parameters of the model.
     pub n_model_parameters: usize,
-    /// How f, g and the noise depend on each parameter of the model.
+    /// Tell how f, g and the noise depend on each parameter of the model.
     pub(crate) roles: Vec<Role>,
     /// The parameter and the experiment of each variable.
     pub estimands: Estimands,

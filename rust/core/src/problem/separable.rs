@@ -9,7 +9,7 @@ use crate::transform::Transform;
 /// Greatest factor by which another point to try differs.
 const FACTOR: f64 = 5.0;
 
-/// How f, g and the noise depend on a parameter of the model.
+/// Tells how f, g and the noise depend on a parameter of the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Role {
     /// The variable is a logarithm, and f and g are linear in the parameter.

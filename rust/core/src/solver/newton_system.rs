@@ -56,7 +56,7 @@ impl NewtonSystem {
         self.kkt.flops()
     }
 
-    /// What factorises it, for other systems of the program.
+    /// Hands over what factorises the system, for other systems of the program.
     pub fn into_kkt(self) -> Box<dyn KktSolver> {
         self.kkt
     }

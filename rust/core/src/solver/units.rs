@@ -51,25 +51,18 @@ impl Units {
         if !sizes.contains(&0.0) {
             return;
         }
-        let (at, curved) = (nlp.jacobian_structure(), nlp.hessian_structure());
-        let each_influence = |take: &mut dyn FnMut(usize, f64)| {
-            for ((&row, &column), a) in at.rows.iter().zip(&at.columns).zip(jacobian) {
-                if (column as usize) < sizes.len() {
-                    take(column as usize, (a / self.of(row as usize)).abs());
-                }
+        let mut influence = vec![0.0f64; sizes.len()];
+        let s = nlp.jacobian_structure();
+        for ((&row, &column), a) in s.rows.iter().zip(&s.columns).zip(jacobian) {
+            if let Some(sum) = influence.get_mut(column as usize) {
+                *sum = sum.hypot(a / self.of(row as usize));
             }
-            for ((&row, &column), h) in curved.rows.iter().zip(&curved.columns).zip(hessian) {
-                if row == column && (row as usize) < sizes.len() {
-                    take(row as usize, h.abs().sqrt());
-                }
+        }
+        let s = nlp.hessian_structure();
+        for ((&row, &column), h) in s.rows.iter().zip(&s.columns).zip(hessian) {
+            if let Some(sum) = influence.get_mut(row as usize).filter(|_| row == column) {
+                *sum = sum.hypot(h.abs().sqrt());
             }
-        };
-        // Divided by the largest, so that squares neither overflow nor underflow.
-        let (mut largest, mut influence) = (vec![0.0f64; sizes.len()], vec![0.0f64; sizes.len()]);
-        each_influence(&mut |i, part| largest[i] = largest[i].max(part));
-        each_influence(&mut |i, part| influence[i] += (part / largest[i]).powi(2));
-        for (sum, largest) in influence.iter_mut().zip(&largest) {
-            *sum = if *largest > 0.0 { largest * sum.sqrt() } else { 0.0 };
         }
         let root = (self.rows.max(1) as f64).sqrt();
         for ((size, influence), x) in sizes.iter_mut().zip(influence).zip(xi) {

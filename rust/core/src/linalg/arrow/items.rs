@@ -23,13 +23,15 @@ pub(super) struct Items {
 
 impl Items {
     /// Sorts the entries of a matrix by panel. The panels are those of several chains, `panels` of each,
-    /// numbered through. `None` where an entry does not fit, and where the work was stopped.
+    /// numbered through. Entries that are `like` each other have the same place in their panels, which is found once for
+    /// those that stand side by side. `None` where an entry does not fit, and where the work was stopped.
     #[inline]
-    pub fn sorted(
+    pub fn sorted<K: PartialEq>(
         panels: &[usize],
         entries: usize,
         panel: impl Fn(usize) -> Slot,
-        mut place: impl FnMut(usize) -> Slot,
+        like: impl Fn(usize) -> Option<K>,
+        place: impl Fn(usize) -> Slot,
     ) -> Option<Vec<Items>> {
         let total: usize = panels.iter().sum();
         let mut turns = current().turns(OPERATIONS);
@@ -49,6 +51,7 @@ impl Items {
         }
         let mut ends = starts[..total].to_vec();
         let mut items = vec![(0, 0); starts[total] as usize];
+        let mut last: Option<(K, Option<usize>)> = None;
         for t in 0..entries {
             if turns.stop() {
                 return None;
@@ -56,7 +59,15 @@ impl Items {
             if panel_of[t] == NONE {
                 continue;
             }
-            if let Some(place) = place(t)? {
+            let key = like(t);
+            let same =
+                last.as_ref().filter(|(before, _)| key.as_ref() == Some(before)).map(|(_, place)| *place);
+            let found = match same {
+                Some(found) => found,
+                None => place(t)?,
+            };
+            last = key.map(|key| (key, found));
+            if let Some(place) = found {
                 let end = &mut ends[panel_of[t] as usize];
                 items[*end as usize] = (t as u32, place as u32);
                 *end += 1;

@@ -83,7 +83,7 @@ fn rows_by_panel(
     let column_of = positions(&shape.dynamic, border, 0);
     let of_part: Vec<Vec<usize>> =
         shape.parts.iter().map(|part| positions(&part.dynamic, shape.dynamic.len(), 0)).collect();
-    let found = |t: usize| -> Slot {
+    let place = |t: usize| -> Slot {
         let (row, column) = (rows[jacobian.rows[t] as usize], jacobian.columns[t] as usize);
         let plan = plans.get(row.chain as usize)?;
         let i = row.index as usize;
@@ -127,29 +127,20 @@ fn rows_by_panel(
         };
         Some(Some(i_own * part.panel(plan.chain.points) + column))
     };
-    // Entries of consecutive segments stand side by side: each has mostly the place of the one before.
-    let mut last = (None, None);
-    let place = |t: usize| -> Slot {
+    let n_parts = shape.parts.len();
+    let of_chain = |plan: &ChainPlan| std::iter::repeat_n(plan.chain.segments, n_parts).chain([1]);
+    let panels: Vec<usize> = plans.iter().flat_map(of_chain).collect();
+    let first = cumulated(&panels);
+    let like = |t: usize| {
         let (row, column) = (rows[jacobian.rows[t] as usize], jacobian.columns[t] as usize);
-        if row.is_boundary() {
-            return found(t);
-        }
         let other = if column < border {
             (u32::MAX, column as u32, 0, false)
         } else {
             let v = variables[column];
             (v.chain, v.index, row.after.wrapping_sub(v.after), v.after == 0)
         };
-        let key = Some((row.chain, row.index, other));
-        if last.0 != key {
-            last = (key, found(t));
-        }
-        last.1
+        (!row.is_boundary()).then_some((row.chain, row.index, other))
     };
-    let n_parts = shape.parts.len();
-    let of_chain = |plan: &ChainPlan| std::iter::repeat_n(plan.chain.segments, n_parts).chain([1]);
-    let panels: Vec<usize> = plans.iter().flat_map(of_chain).collect();
-    let first = cumulated(&panels);
     let panel = |t: usize| -> Slot {
         let row = rows[jacobian.rows[t] as usize];
         let (items, segment) = if row.is_boundary() {
@@ -159,7 +150,7 @@ fn rows_by_panel(
         };
         Some(Some(first.get(row.chain as usize * (n_parts + 1) + items)? + segment))
     };
-    Items::sorted(&panels, jacobian.len(), panel, place)
+    Items::sorted(&panels, jacobian.len(), panel, like, place)
 }
 
 /// Entries of the Hessian, for each chain by its first point and its segments: at places in records of n² pairs of
@@ -173,7 +164,11 @@ fn points_by_panel(
     let (n, border, variables) = (shape.n, shape.border, &*places.variables);
     let coupling_of = positions(&shape.coupled, border, n);
     let across = n + shape.coupled.len();
-    let found = |low: usize, high: usize| -> Slot {
+    let place = |t: usize| -> Slot {
+        let (low, high) = ends(hessian, t);
+        if high < border {
+            return Some(None);
+        }
         let v = variables[high];
         let (point, i) = (v.index as usize / n, v.index as usize % n);
         let other = if low < border {
@@ -190,27 +185,14 @@ fn points_by_panel(
         let within = if low < border { n * n + i * across + other } else { i * n + other };
         Some(Some(point * (n * n + n * across) + within))
     };
-    let mut last = (None, None);
-    let place = |t: usize| -> Slot {
+    let like = |t: usize| {
         let (low, high) = ends(hessian, t);
-        if high < border {
-            return Some(None);
-        }
         let v = variables[high];
-        let other = if low < border {
-            (low as u32, true)
-        } else {
-            let other = variables[low];
-            if (other.chain, other.after) != (v.chain, v.after) {
-                return None;
-            }
-            (other.index, false)
-        };
-        let key = Some((v.index, other));
-        if last.0 != key {
-            last = (key, found(low, high));
+        if low < border {
+            return (high >= border).then_some((v.index, low as u32, true));
         }
-        last.1
+        let other = variables[low];
+        ((other.chain, other.after) == (v.chain, v.after)).then_some((v.index, other.index, false))
     };
     let panels: Vec<usize> = plans.iter().map(|plan| plan.chain.segments + 1).collect();
     let first = cumulated(&panels);
@@ -222,7 +204,7 @@ fn points_by_panel(
         let v = variables[high];
         Some(Some(first.get(v.chain as usize)? + v.after as usize))
     };
-    Items::sorted(&panels, hessian.len(), panel, place)
+    Items::sorted(&panels, hessian.len(), panel, like, place)
 }
 
 /// Entries of the Hessian between border variables: (entry, row, column).

@@ -293,7 +293,7 @@ impl Posed {
                 items.iter().zip(parts.chunks_exact_mut(step)).map(run).fold(true, |a, b| a & b)
             } else {
                 let pairs = items.par_iter().zip(parts.par_chunks_exact_mut(step));
-                self.install(|| pairs.with_min_len(8).map(run).reduce(|| true, |a, b| a & b))
+                self.install(|| pairs.with_min_len(8).map(run).min().unwrap_or(true))
             };
             let done = items.iter().zip(parts.chunks_exact(step));
             done.for_each(|(item, part)| collect(of(item), &part[..width]));

@@ -5,6 +5,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -152,28 +153,45 @@ def explains_as_much(case: hidden.Case, fit: Any, named: Any) -> bool:
     Many effects act alike in a band of frequencies and a range of motion: a lag and a delay, a rate's cube and its
     square with the sign. Then it is right to name either.
     """
-    import phugoid as ph
     from phugoid.discrepancy.search.free_run import Misfitting, Simulated
     from phugoid.discrepancy.search.refit import Refit, on_other_data
     from phugoid.errors import PhugoidError
-    from phugoid.sensitivities.linearised import Linearised
 
-    library = {c.name: c for c in ph.candidates(fit.model, points=Linearised(fit).points)}
-    model = fit.model
-    for name in case.truth:
-        c = library[name]
-        values = [case.coefficients[name], *case.shapes[name].values()]
-        model = c.extended(model, dict(zip(c.parameters, values, strict=False)))
-    truth = ph.estimate(model, case.data)
-    if not truth.converged:
+    truth = _with_truth(case, fit)
+    if truth is None:
         return False
     try:
-        before, one, other = (on_other_data(Refit((), f), [case.validation]) for f in (fit, named, truth))
+        before, one, other = (on_other_data(r, [case.validation]) for r in (Refit((), fit), Refit((), named), truth))
     except PhugoidError:
         return False
     without, misfit = Simulated.of(before), Misfitting.of(before)
     mine, its = (Simulated.of(after).explained(without, misfit) for after in (one, other))
     return within(mine.part, its.interval) and within(its.part, mine.interval)
+
+
+def _with_truth(case: hidden.Case, fit: Any) -> Any:
+    """Return the likeliest fit with what is hidden, about any of the centres that the record suggests, from the true
+    values; None where none converges: from other values, or about another centre than the trim, it may end elsewhere."""
+    import phugoid as ph
+    from phugoid.discrepancy.search.refit import Refit, refit
+    from phugoid.sensitivities.linearised import Linearised
+
+    points = Linearised(fit).points
+    library = {c.name: c for c in ph.candidates(fit.model, points=points)}
+    found = []
+    for terms in product(*([library[n], *library[n].variants(points)] for n in case.truth)):
+        values = {}
+        for c in terms:
+            values |= dict(zip(c.parameters, [case.coefficients[c.name], *case.shapes[c.name].values()], strict=False))
+        found += [refit(fit, terms, values), refit(fit, terms, {**case.parameters, **values})]
+        model = fit.model
+        for c in terms:
+            model = c.extended(model, {n: values[n] for n in c.parameters if n in values})
+        started = ph.estimate(
+            model, case.data, start={n: v for n, v in case.parameters.items() if n in model.parameter_names}
+        )
+        found.append(Refit((), started) if started.converged else None)
+    return max((r for r in found if r is not None), key=lambda r: r.merit, default=None)
 
 
 def within(part: float, interval: tuple[float, float]) -> bool:

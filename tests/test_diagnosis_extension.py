@@ -178,9 +178,17 @@ def stopped_at(step: int) -> tuple[Callable[[str], None], list[str]]:
     return progress, told
 
 
-def test_progress_is_told(fit: ph.Fit, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture(scope="module")
+def uninterrupted(fit: ph.Fit) -> tuple[ph.results.Diagnosis, list[str]]:
+    """A diagnosis without data held out, and what was told of its progress."""
     progress, told = stopped_at(0)
-    d = ph.diagnose(fit, progress=progress)
+    return ph.diagnose(fit, progress=progress), told
+
+
+def test_progress_is_told(
+    capsys: pytest.CaptureFixture[str], uninterrupted: tuple[ph.results.Diagnosis, list[str]]
+) -> None:
+    d, told = uninterrupted
     assert told[0] == "scanning all candidates" and any(t.startswith("fitting with ") for t in told)
     assert all(any(f.cause in t for t in told) for f in d.findings)
     quiet = capsys.readouterr()
@@ -188,9 +196,14 @@ def test_progress_is_told(fit: ph.Fit, capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.parametrize("when", ["at once", "in the first round", "in the second round"])
-def test_ctrl_c_leaves_what_was_found(when: str, fit: ph.Fit, diagnosis: ph.results.Diagnosis, tmp_path: Path) -> None:
-    progress, told = stopped_at(0)
-    ph.diagnose(fit, progress=progress)
+def test_ctrl_c_leaves_what_was_found(
+    when: str,
+    fit: ph.Fit,
+    diagnosis: ph.results.Diagnosis,
+    uninterrupted: tuple[ph.results.Diagnosis, list[str]],
+    tmp_path: Path,
+) -> None:
+    told = uninterrupted[1]
     second = next(i for i, t in enumerate(told) if t.startswith("scanning all candidates beside"))
     step = {"at once": 1, "in the first round": 4, "in the second round": second + 3}[when]
     progress, told = stopped_at(step)

@@ -455,5 +455,5 @@ def test_published_points_have_their_published_likelihood_and_are_kept(name: str
         pytest.skip(f"{path} is not there")
     p = ph.read_petab(path)
     assert p.log_likelihood() == pytest.approx(PUBLISHED[name], abs=1e-3)
-    fit = ph.estimate(p.model, p.experiments, solver=ph.Newton(time_limit=60))
+    fit = ph.estimate(p.model, p.experiments, solver=ph.Newton(time_limit=15))
     assert fit.log_likelihood + p.constant > PUBLISHED[name] - 1e-3

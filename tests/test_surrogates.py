@@ -13,12 +13,14 @@ import pytest
 import phugoid as ph
 from phugoid.discrepancy.search import Search, SearchResult
 from phugoid.discrepancy.search.disturbance import histories_at, likeliest_function
+from phugoid.discrepancy.search.free_run import Misfitting, Simulated
 from phugoid.discrepancy.search.other_laws import unknown_function
 from phugoid.discrepancy.search.refit import HeldOut, Refit
 from phugoid.discrepancy.search.remainder import Remainder
 from phugoid.discrepancy.search.surrogates import (
     CONTRADICTED,
     DIFFERS,
+    HARMS,
     SurrogateSettings,
     is_motion,
     persistence,
@@ -134,6 +136,41 @@ def test_a_term_with_which_data_held_out_are_predicted_worse_is_a_surrogate_unle
     assert surrogates(worse, 0.3) == {"v':x^3": CONTRADICTED}
     assert not surrogates(worse, 0.7) and not surrogates(worse._replace(deviation=30.0), 0.3)
     assert not surrogates(found.held_out, 0.3)
+
+
+def test_a_term_that_makes_other_outputs_worse_by_much_of_what_it_explains_is_a_surrogate() -> None:
+    search, result = named(CUBE, "v':x^3")
+    (found,) = result.found
+    assert found.explained is not None and found.explained.harm == 0.0
+
+    def surrogates(harm: float) -> Mapping[str, str]:
+        assert found.explained is not None
+        other = replace(found, explained=replace(found.explained, part=0.2, harm=harm))
+        return without_surrogates(search, replace(result, found=(other,)), None)[0].surrogates
+
+    assert surrogates(0.15) == {"v':x^3": HARMS} and not surrogates(0.05)
+
+
+def test_harm_is_what_outputs_lose_that_become_worse_beyond_chance() -> None:
+    rng = np.random.default_rng(1)
+    n, blocks = 1200, 24
+    noise, wrong = rng.standard_normal((3, n)), np.sin(0.05 * np.arange(n))
+
+    def simulated(*size: float) -> Simulated:
+        """Errors of three outputs: noise, and so much of the same motion in each."""
+        errors = np.concatenate([e + s * wrong for e, s in zip(noise, size, strict=True)])
+        block = np.tile(np.arange(n) * blocks // n, 3)
+        return Simulated(("a", "b", "c"), errors, np.repeat(np.arange(3), n), block)
+
+    before, after = simulated(3.0, 1.0, 0.0), simulated(1.0, 2.0, 0.02)
+    powers = np.array([np.mean(e**2) for e in before.errors.reshape(3, n)])
+    misfit = Misfitting(before.errors, powers, 1.0 - 1.0 / powers)
+    explained = after.explained(before, misfit)
+    assert explained.outputs["a"] > 0.5 and explained.outputs["b"] < -0.5
+    # What is misfit of all, and what the second output loses of that; the third changes by no more than chance.
+    whole = float((1.0 - 1.0 / powers).sum())
+    assert explained.harm == pytest.approx(-explained.outputs["b"] / whole, rel=0.05)
+    assert before.explained(after, misfit).harm == pytest.approx(explained.outputs["a"] / whole, rel=0.05)
 
 
 def test_a_term_that_data_held_out_ask_to_be_different_is_a_surrogate() -> None:

@@ -45,12 +45,14 @@ class Explained:
     another    95 % prediction interval for another record of the same kind and length: the scatter of a bootstrap of
                few long blocks, by Student's t, and once more for the record itself.
     outputs    output -> reduction of the mean square of its residuals over that of the model diagnosed.
+    harm       part of the misfit by which the outputs that become worse beyond chance become worse; it is in ``part``.
     """
 
     part: float
     interval: tuple[float, float]
     another: tuple[float, float]
     outputs: Mapping[str, float]
+    harm: float = 0.0
 
     @property
     def significant(self) -> bool:
@@ -111,7 +113,10 @@ class Simulated:
         of_outputs = np.bincount(output, weights=less, minlength=n)
         named = dict(zip(self.names, of_outputs.tolist(), strict=True))
         interval = _bootstrap(sums, wholes)
-        return Explained(float(part), interval, _of_another_record(float(part), interval, sums, wholes), named)
+        each = np.bincount(block * n + output, weights=less, minlength=n * (block.max(initial=-1) + 1)).reshape(-1, n)
+        harm = -of_outputs[_worse(each[blocks])].sum() / max(float(wholes.sum()), LEAST)
+        another = _of_another_record(float(part), interval, sums, wholes)
+        return Explained(float(part), interval, another, named, float(harm))
 
 
 def _ratio(explained: Any, misfit: Any) -> Any:
@@ -125,6 +130,12 @@ def _bootstrap(sums: _Array, wholes: _Array) -> tuple[float, float]:
     tail = 50.0 * (1.0 - _INTERVAL)
     low, high = np.percentile(_ratio(sums[drawn].sum(axis=1), wholes[drawn].sum(axis=1)), [tail, 100.0 - tail])
     return float(low), float(high)
+
+
+def _worse(sums: _Array) -> NDArray[np.bool_]:
+    """Return which outputs of blocks (n_blocks, n_y) become worse beyond chance: (n_y,)."""
+    drawn = np.random.default_rng(0).integers(len(sums), size=(_DRAWS, len(sums)))
+    return np.asarray(np.percentile(sums[drawn].sum(axis=1), 50.0 * (1.0 + _INTERVAL), axis=0) < 0.0)
 
 
 def _of_another_record(part: float, interval: tuple[float, float], sums: _Array, wholes: _Array) -> tuple[float, float]:

@@ -39,6 +39,7 @@ from .remainder import Remainder
 __all__ = [
     "CONTRADICTED",
     "DIFFERS",
+    "HARMS",
     "LEAVES_MORE",
     "SurrogateSettings",
     "is_motion",
@@ -60,6 +61,10 @@ DIFFERS = (
 CONTRADICTED = (
     "with it the data held out are predicted worse, beside the other causes, and it explains the lesser part of the "
     "misfit, so that it may represent an effect that no candidate describes"
+)
+HARMS = (
+    "with it some outputs of the data held out are predicted worse beyond chance, by more than half of what it explains "
+    "in all, so that it may represent an effect that no candidate describes"
 )
 """Why a term is a surrogate, in words."""
 
@@ -142,6 +147,7 @@ class SurrogateSettings:
     more        part of what a term explains that such a change, or such a function, may explain beside it: no record is
                 without another misfit.
     structure   part of the residuals' power that their past predicts, below which they pass for noise.
+    harm        part of what a term explains by which it may make some outputs worse.
     """
 
     most: float = 0.5
@@ -152,6 +158,7 @@ class SurrogateSettings:
     margin: float = 8.0
     more: float = 0.1
     structure: float = 0.05
+    harm: float = 0.5
 
 
 def without_surrogates(
@@ -167,6 +174,7 @@ def without_surrogates(
     lost = {c.name: LEAVES_MORE for c in _outweighed(search, result, named, remainder, s)}
     differing, curve = _differing(search, final, s)
     lost |= {c.name: DIFFERS for c in differing}
+    lost |= {f.candidate.name: HARMS for f in named if f.candidate is not None and _harms(f, s)}
     lost |= {f.candidate.name: CONTRADICTED for f in named if f.candidate is not None and _is_contradicted(f, s)}
     if not lost:
         return result, remainder
@@ -273,6 +281,12 @@ def _is_contradicted(found: Found, s: SurrogateSettings) -> bool:
     part of the misfit."""
     gain, explained = found.held_out, found.explained
     return explained is not None and gain.gain < -gain.deviation and explained.part < s.most
+
+
+def _harms(found: Found, s: SurrogateSettings) -> bool:
+    """Return whether a term makes outputs of data held out worse by much of what it explains in all."""
+    explained = found.explained
+    return explained is not None and explained.harm > s.harm * explained.part
 
 
 def _is_sure(found: Found, sure: float) -> bool:

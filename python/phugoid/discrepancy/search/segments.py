@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
 from ...data.filtering import EVEN, Signal
-from ...fit_result import dataset
+from ...fit_result import dataset, mean_square
 from ...residual_noise import resolution_of
 from ...residual_noise.whitening import Whitening
 from ..candidates.model_structure import ModelStructure
@@ -82,11 +82,24 @@ def segments_of(base: Refit, validation: Sequence[Experiment]) -> Segments | Non
     found, length = fitted_to_segments(base, _COUNT) if is_structured(base, _ERROR) else (None, 0)
     if found is None:
         return None
-    for name in fit.model.output_names:
-        before, after = (np.concatenate([r.residuals[name] for r in f.fit.records]) for f in (base, found))
-        if not np.nanmean(after**2) < _LEFT**2 * np.nanmean(before**2):
-            return None
-    return Segments.of(found, length, validation)
+    return Segments.of(found, length, validation) if _is_nearer(base, found) else None
+
+
+def _is_nearer(base: Refit, pieces: Refit) -> bool:
+    """Return whether over segments the misfit is mostly gone in the output that the fit to whole records is farthest
+    from, and all together are likelier. In others the misfit may stay: beside a path that drifts, parameters that follow
+    it hide what is missing in an acceleration, say."""
+    names = base.fit.model.output_names
+    before, after = (np.array([mean_square(r.fit, n) for n in names]) for r in (base, pieces))
+    noise = _innovations(pieces)
+    farthest = int(np.argmax(before / _innovations(base)))
+    left = max(after[farthest] - noise[farthest], 0.0) / max(before[farthest] - noise[farthest], 1e-300)
+    return bool(left < _LEFT**2 and np.log(after / before).sum() < 0.0)
+
+
+def _innovations(at: Refit) -> _Array:
+    """Return the variances (n_y,) of the outputs' residuals that their past does not predict."""
+    return np.array([c.power for c in Whitening.of(at.linear.residuals, at.linear.structure).channels])
 
 
 def short_segments(base: Refit) -> Refit | None:

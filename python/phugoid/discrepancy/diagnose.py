@@ -66,7 +66,8 @@ def _is_minor(search: Search, result: SearchResult, found: Found, kept: Refit) -
     name = found.candidate.name if found.candidate is not None else ""
     alone = name in result.final.names and name not in kept.names
     little = alone and found.explained is not None and found.explained.part < _ALONE
-    return (bool(name) and name not in result.final.names) or little or search.assessment.is_minor(found.explained)
+    minor = search.assessment.is_minor(found.explained, found.of_the_rest)
+    return (bool(name) and name not in result.final.names) or little or minor
 
 
 # How a search ended before its end, in words.

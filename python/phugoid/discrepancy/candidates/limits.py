@@ -30,6 +30,9 @@ _FORCE = 0.01
 _CLOSED = 2.5
 # Parts of the range, from either end, at which a limit is looked for, and how far outside of it it may be.
 _PARTS, _BEYOND = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4]), 0.02
+# Parts of the range by which an estimate of a limit may be outside of it; and times the greatest value of a state that no
+# output measures: what a model that lacks the limit says of its size may be far off.
+_FARTHER, _UNMEASURED = 0.2, 20.0
 # Radians of a contact's motion from one point of the mesh to the next, at most; and the part of that stiffness at which
 # the search begins.
 _QUICKEST, _SOFT = 0.5, 0.05
@@ -87,12 +90,20 @@ class _StateEffect(Effect):
         low, high = self._span()
         first = float(extension.start.get(name, self.shapes[0][name]))
         unit = extension.old.variable_units.get(self._x, "")
-        limit = extension.parameter(name, first, bounds=self._bounds(low, high), unit=unit)
+        more = _FARTHER * (high - low)
+        if not self._is_measured(extension.old):
+            more = _UNMEASURED * max(high - low, abs(low), abs(high))
+        limit = extension.parameter(name, first, bounds=self._bounds(low, high, more), unit=unit)
         return limit, self._side(first)
 
-    def _bounds(self, low: float, high: float) -> tuple[float, float]:
-        """Return bounds of the limit of a state between two values."""
-        more = 0.2 * (high - low)
+    def _is_measured(self, model: Model) -> bool:
+        """Return whether an output depends on the state, of the other variables on none."""
+        outputs = [e for (kind, _), e in model._right_hand_sides().items() if kind == "output"]
+        variables = {*model.state_names, *model.input_names, *model.quantity_names}
+        return any(variables & {*e.symbols} == {self._x} for e in outputs)
+
+    def _bounds(self, low: float, high: float, more: float) -> tuple[float, float]:
+        """Return bounds of the limit of a state between two values, and by how much it may be beyond these."""
         return low - more, high + more
 
     def reachable(self, states: Mapping[str, _Array], start: Mapping[str, float]) -> Mapping[str, _Array]:
@@ -262,12 +273,12 @@ class EndStop(_StateEffect):
     def _side(self, limit: float) -> float:
         return 1.0 if self.both_sides else super()._side(limit)
 
-    def _bounds(self, low: float, high: float) -> tuple[float, float]:
+    def _bounds(self, low: float, high: float, more: float) -> tuple[float, float]:
         if not self.both_sides:
-            return super()._bounds(low, high)
+            return super()._bounds(low, high, more)
         # Two stops that meet are a spring.
         far = max(abs(low), abs(high))
-        return _APART * far, 1.2 * far
+        return _APART * far, far + more
 
     def _reached(self, points: Sequence[Points]) -> tuple[float, float]:
         low, high = super()._reached(points)

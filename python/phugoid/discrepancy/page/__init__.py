@@ -225,6 +225,8 @@ def _explained_in_words(finding: Finding) -> str:
     best = max(finding.explained_outputs, key=lambda n: finding.explained_outputs[n], default="")
     if len(finding.explained_outputs) > 1 and finding.explained_outputs[best] > 0.0:
         text += f", most in {best}"
+    if math.isfinite(finding.explained_of_the_rest):
+        text += f"; of the misfit that the other findings leave {_share(finding.explained_of_the_rest)}"
     return f"{text}."
 
 

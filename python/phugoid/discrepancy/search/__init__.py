@@ -353,10 +353,13 @@ class Search:
         while True:
             explained = {c.name: self.confirmation.explained(at, c) for c in at.candidates}
             assess = self.assessment
+            rest = {c.name: self.confirmation.of_the_rest(at, c, explained[c.name]) for c in at.candidates}
             weak = [
                 c
                 for c in at.candidates
-                if not assess.is_named(at, c, explained[c.name]) or self._wanders(at, c) or self._is_chance(at, c)
+                if not assess.is_named(at, c, explained[c.name], rest[c.name])
+                or self._wanders(at, c)
+                or self._is_chance(at, c)
             ]
             if not weak:
                 return at

@@ -4,6 +4,7 @@ which refit is confirmed by data held out, and its aliases.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -180,6 +181,7 @@ class Found:
     rivals    those that the data do not distinguish from it: name -> gain they would have instead, the likeliest first.
     explained the part of the misfit that it explains in free simulation of held-out data, beside the others.
     rivals_explained   the same of the rivals, in its place.
+    of_the_rest        the part that a minor one explains of the misfit that the others leave; NaN else.
     """
 
     candidate: Candidate | None
@@ -190,6 +192,7 @@ class Found:
     ringing: tuple[float, ...] = ()
     explained: Explained | None = None
     rivals_explained: Mapping[str, float] = field(default_factory=dict)
+    of_the_rest: float = math.nan
 
 
 class Confirmation:
@@ -357,6 +360,13 @@ class Confirmation:
         """Return what a term explains beside the others of a refit."""
         return self._assessment.explained(self._without(at, candidate), at)
 
+    def of_the_rest(self, at: Refit, candidate: Candidate, explained: Explained | None) -> float:
+        """Return the part that a term explains of the misfit that the others of a refit leave; NaN where it is alone or
+        explains more of all than a minor finding."""
+        if len(at.candidates) < 2 or not self._assessment.is_minor(explained):
+            return math.nan
+        return self._assessment.of_what_is_left(self._without(at, candidate), at)
+
     def _without(self, at: Refit, candidate: Candidate) -> Refit:
         others = [c for c in at.candidates if c.name != candidate.name]
         return self._cache.refit(others, at.fit) or self._cache.base
@@ -411,4 +421,5 @@ class Confirmation:
             held,
             explained=own,
             rivals_explained=parts,
+            of_the_rest=self.of_the_rest(at, candidate, own),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -181,7 +182,7 @@ class Assessment:
         """Twice the gain in log-likelihood: with coloured noise, or, where that is no more than chance gives and the
         residuals are error of the model, of the simulation's errors."""
         whitened = self._whitened_gain(base, more)
-        if whitened > self.threshold() or not self._is_plain(base, more):
+        if not self._is_plain(base, more) or whitened > max(self.needed(more, c) for c in more.beside(base.candidates)):
             return whitened
         return max(whitened, self._gain_in_error(base, more))
 
@@ -275,12 +276,16 @@ class Assessment:
         return self.compared(base, base, more)
 
     def explains_what_is_left(self, current: Refit, more: Refit) -> bool:
-        """Return whether a model explains most of the misfit that another one still has, in free simulation of held-out
-        data, where that is more than noise."""
+        """Return whether a model explains most of the misfit that another one still has."""
+        return self.of_what_is_left(current, more) > self.settings.most
+
+    def of_what_is_left(self, current: Refit, more: Refit) -> float:
+        """Return the part that a model explains of the misfit that another one still has, in free simulation of held-out
+        data; NaN where that is hardly more than noise, or the part no more than chance."""
         if not is_structured(current, self.settings.error):
-            return False
+            return math.nan
         found = self._compared(current, current, more, current)
-        return found is not None and found.significant and found.part > self.settings.most
+        return found.part if found is not None and found.significant else math.nan
 
     def is_worse(self, base: Refit, one: Refit, other: Refit) -> bool:
         """Return whether, beside the terms of a base, free simulation of held-out data is clearly worse with those of
@@ -288,13 +293,22 @@ class Assessment:
         found = self._compared(base, one, other, base)
         return found is not None and found.significant and found.part > self.settings.minor
 
-    def is_named(self, at: Refit, candidate: Candidate, explained: Explained | None) -> bool:
+    def is_named(
+        self, at: Refit, candidate: Candidate, explained: Explained | None, of_the_rest: float = math.nan
+    ) -> bool:
         """Return whether a finding names a cause: of a plausible size, and more than minor in free simulation."""
-        return is_plausible(at, candidate, explained) and not self.is_minor(explained)
+        return is_plausible(at, candidate, explained) and not self.is_minor(explained, of_the_rest)
 
-    def is_minor(self, explained: Explained | None) -> bool:
-        """Return whether a finding explains less of the misfit than is worth a name, or no more than by chance."""
-        return explained is not None and not (explained.significant and explained.part >= self.settings.minor)
+    def is_minor(self, explained: Explained | None, of_the_rest: float = math.nan) -> bool:
+        """Return whether a finding explains less of the misfit than is worth a name, or no more than by chance.
+
+        Where one cause has a simulation drift far away, nothing else is a large part of that misfit. What explains most
+        of what is left beside the others, ``of_the_rest``, is minor where it is less than that part in amplitude, too.
+        """
+        if explained is None:
+            return False
+        least = self.settings.minor ** (2 if of_the_rest > self.settings.most else 1)
+        return not (explained.significant and explained.part >= least)
 
     def goes_before(self, base: Refit, term: Refit, other: Refit) -> bool:
         """Return whether a term is preferred to a drift or a disturbance of the records alone: other records confirm

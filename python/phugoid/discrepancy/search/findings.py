@@ -94,6 +94,7 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
         units={n: final.fit.parameters[n].unit for n in parameters},
         alternatives=dict(found.rivals),
         **_simulated(explained),
+        explained_of_the_rest=found.of_the_rest,
         alternatives_explained=dict(found.rivals_explained),
     )
 

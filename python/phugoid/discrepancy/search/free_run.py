@@ -114,7 +114,7 @@ class Simulated:
         named = dict(zip(self.names, of_outputs.tolist(), strict=True))
         interval = _bootstrap(sums, wholes)
         each = np.bincount(block * n + output, weights=less, minlength=n * (block.max(initial=-1) + 1)).reshape(-1, n)
-        harm = -of_outputs[_worse(each[blocks])].sum() / max(float(wholes.sum()), LEAST)
+        harm = -of_outputs[_worse(each[blocks].astype(float))].sum() / max(float(wholes.sum()), LEAST)
         another = _of_another_record(float(part), interval, sums, wholes)
         return Explained(float(part), interval, another, named, float(harm))
 

@@ -170,8 +170,8 @@ def explains_as_much(case: hidden.Case, fit: Any, named: Any) -> bool:
 
 
 def _with_truth(case: hidden.Case, fit: Any) -> Any:
-    """Return the likeliest fit with what is hidden, about any of the centres that the record suggests, from the true
-    values; None where none converges: from other values, or about another centre than the trim, it may end elsewhere."""
+    """Return the likeliest fit with what is hidden, about any of the centres that the record suggests, begun from the
+    true values and others: about another centre than the trim it ends elsewhere. None where none converges."""
     import phugoid as ph
     from phugoid.discrepancy.search.refit import Refit, refit
     from phugoid.sensitivities.linearised import Linearised

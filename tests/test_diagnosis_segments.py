@@ -78,3 +78,42 @@ def test_a_system_that_forgets_its_first_states_is_simulated_as_a_whole() -> Non
     d = ph.diagnose(ph.estimate(m, record("a")), validation=record("b"))
     assert not any("segments" in note for note in d.notes)
     assert "x':x^3" in {f.cause for f in d.findings if f.status == "named"}, d.summary()
+
+
+def hover(seed: int) -> ph.Experiment:
+    """A rotor in height hold near the ground, which adds to its thrust; height and specific force are measured."""
+    rng = np.random.default_rng(seed)
+    step, n = 0.02, 700
+    t = step * np.arange(n)
+    reference = np.repeat(rng.uniform(0.3, 1.4, 7), 100)
+    height, speed, sum_, target = reference[0], 0.0, 0.0, reference[0]
+    throttle, seen, force = np.empty(n), np.empty(n), np.empty(n)
+    for k in range(n):
+        target += 0.04 * (reference[k] - target)
+        error = target - height + 0.006 * rng.standard_normal()
+        sum_ += error * step
+        throttle[k] = np.sqrt(np.clip((9.81 + 6.0 * error + 2.0 * sum_ - 3.5 * speed) / 14.5, 0.05, 1.6))
+        for j in range(STEPS):
+            thrust = 14.5 * throttle[k] ** 2 * (1.0 + 0.9 * np.exp(-height / 0.25))
+            if j == 0:
+                seen[k], force[k] = height, thrust - 0.3 * speed
+            speed += step / STEPS * (thrust - 9.81 - 0.3 * speed)
+            height += step / STEPS * speed
+    outputs = {"h": seen + 0.012 * rng.standard_normal(n), "az": force + 0.12 * rng.standard_normal(n)}
+    return ph.Experiment(t, {"u": throttle}, outputs, name=f"hover {seed}", interpolation="hold")
+
+
+def test_a_force_near_the_ground_is_named_though_parameters_follow_the_drift() -> None:
+    """Over whole records a damping of the wrong sign had the height near the record. Over segments the height is right,
+    and the specific force shows what is missing: its misfit does not become less."""
+    m = ph.Model("hover")
+    h, w = m.states(h="m", w="m/s")
+    (u,) = m.inputs(u="")
+    gain, d = m.parameters(gain=14.0, d=0.2)
+    m.dynamics(h=w, w=gain * u**2 - 9.81 - d * w)
+    m.outputs(h=h, az=gain * u**2 - d * w)
+    found = ph.diagnose(ph.estimate(m, hover(1)), validation=hover(2))
+    assert any("segments" in note for note in found.notes)
+    (first,) = (f for f in found.findings if f.status == "named")
+    assert "w':exp(-h)" in (first.cause, *first.aliases), found.summary()
+    assert first.explained > 0.9

@@ -75,3 +75,18 @@ def test_a_store_is_full_in_a_model_of_declared_flows_in_the_unit_of_its_level()
     level = next(iter(named.parameters))
     assert named.parameters[level][0] == pytest.approx(_LEVEL, rel=0.02)
     assert named.units[level] == "m"
+
+
+def test_a_limit_of_a_state_that_nothing_measures_may_be_far_from_where_the_model_has_it() -> None:
+    m = ph.Model("tanks")
+    upper, lower = m.states("upper lower")
+    (u,) = m.inputs("u")
+    (k,) = m.parameters("k")
+    m.dynamics(upper=u - k * upper, lower=k * (upper - lower))
+    m.outputs(level=2.0 * lower)
+    bounds = {}
+    for name in ("upper", "lower"):
+        limited = ph.candidates(m)[f"{name}:limit"].extended(m)
+        bounds[name] = limited.declared_parameters[f"limit_of_{name}"].bounds
+    # Without a record a state is taken to be within 0.5 of zero.
+    assert bounds["lower"] == pytest.approx((-0.7, 0.7)) and bounds["upper"][1] > 5.0

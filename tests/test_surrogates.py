@@ -235,3 +235,17 @@ def test_what_nothing_was_named_for_is_left_as_it_is() -> None:
     search, _ = named(CUBE, "v':x^3")
     nothing = SearchResult(search.cache.base, search.cache.base)
     assert without_surrogates(search, nothing, None) == (nothing, None)
+
+
+def test_what_explains_most_of_the_rest_is_minor_only_where_its_amplitude_is_small_too() -> None:
+    search, result = named(CUBE, "v':x^3")
+    (found,) = result.found
+    assert found.explained is not None and np.isnan(found.of_the_rest)
+
+    def is_minor(part: float, of_the_rest: float, low: float = 0.001) -> bool:
+        assert found.explained is not None
+        explained = replace(found.explained, part=part, interval=(low, 1.0))
+        return search.assessment.is_minor(explained, of_the_rest)
+
+    assert is_minor(0.01, np.nan) and is_minor(0.01, 0.3) and not is_minor(0.01, 0.9)
+    assert is_minor(0.002, 0.9) and is_minor(0.01, 0.9, low=-0.1) and not is_minor(0.06, np.nan)

@@ -30,8 +30,8 @@ _FORCE = 0.01
 _CLOSED = 2.5
 # Parts of the range, from either end, at which a limit is looked for, and how far outside of it it may be.
 _PARTS, _BEYOND = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4]), 0.02
-# Parts of the range by which an estimate of a limit may be outside of it; and times the greatest value of a state that no
-# output measures: what a model that lacks the limit says of its size may be far off.
+# Parts of the range by which an estimate of a limit may be outside of it; and times the greatest value of a state that
+# no output measures: what a model that lacks the limit says of its size may be far off.
 _FARTHER, _UNMEASURED = 0.2, 20.0
 # Radians of a contact's motion from one point of the mesh to the next, at most; and the part of that stiffness at which
 # the search begins.

@@ -280,8 +280,8 @@ class Assessment:
         return self.of_what_is_left(current, more) > self.settings.most
 
     def of_what_is_left(self, current: Refit, more: Refit) -> float:
-        """Return the part that a model explains of the misfit that another one still has, in free simulation of held-out
-        data; NaN where that is hardly more than noise, or the part no more than chance."""
+        """Return the part that a model explains of the misfit that another one still has, in free simulation of data
+        held out; NaN where that is hardly more than noise, or the part no more than chance."""
         if not is_structured(current, self.settings.error):
             return math.nan
         found = self._compared(current, current, more, current)

@@ -78,7 +78,6 @@ class Segments:
 def segments_of(base: Refit, validation: Sequence[Experiment]) -> Segments | None:
     """Return the records of a fit in segments, where the model is far from the records as a whole and much nearer to
     segments of them; None else, and where initial states or parameters belong to a whole record."""
-    fit = base.fit
     found, length = fitted_to_segments(base, _COUNT) if is_structured(base, _ERROR) else (None, 0)
     if found is None:
         return None
@@ -87,8 +86,8 @@ def segments_of(base: Refit, validation: Sequence[Experiment]) -> Segments | Non
 
 def _is_nearer(base: Refit, pieces: Refit) -> bool:
     """Return whether over segments the misfit is mostly gone in the output that the fit to whole records is farthest
-    from, and all together are likelier. In others the misfit may stay: beside a path that drifts, parameters that follow
-    it hide what is missing in an acceleration, say."""
+    from, and all together are likelier. In others it may stay: parameters that follow a path that drifts hide what is
+    missing in an acceleration, say."""
     names = base.fit.model.output_names
     before, after = (np.array([mean_square(r.fit, n) for n in names]) for r in (base, pieces))
     noise = _innovations(pieces)

@@ -63,8 +63,8 @@ CONTRADICTED = (
     "misfit, so that it may represent an effect that no candidate describes"
 )
 HARMS = (
-    "with it some outputs of the data held out are predicted worse beyond chance, by more than half of what it explains "
-    "in all, so that it may represent an effect that no candidate describes"
+    "with it some outputs of the data held out are predicted worse beyond chance, by more than half of what it "
+    "explains in all, so that it may represent an effect that no candidate describes"
 )
 """Why a term is a surrogate, in words."""
 

@@ -49,6 +49,8 @@ _ERROR = 0.5
 # Part of the RMS of every output that is left over segments, where it is the drift that made the rest. A stable
 # system, which forgets its initial states, keeps more.
 _LEFT = 0.25
+# Part of what is left over segments that is in one of them, from which on it is an event.
+_ONE = 0.75
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,19 @@ def _is_nearer(base: Refit, pieces: Refit) -> bool:
     noise = _innovations(pieces)
     farthest = int(np.argmax(before / _innovations(base)))
     left = max(after[farthest] - noise[farthest], 0.0) / max(before[farthest] - noise[farthest], 1e-300)
-    return bool(left < _LEFT**2 and np.log(after / before).sum() < 0.0)
+    return bool(left < _LEFT**2 and np.log(after / before).sum() < 0.0) and not _is_of_one(pieces, noise)
+
+
+def _is_of_one(pieces: Refit, noise: _Array) -> bool:
+    """Return whether nearly all that is left beside noise (n_y,) is in one segment: an event, which moves the rest of a
+    record as well."""
+    names = pieces.fit.model.output_names
+    excess = [
+        sum(float(np.nansum(r.residuals[n] ** 2 / v - 1.0)) for n, v in zip(names, noise, strict=True))
+        for r in pieces.fit.records
+    ]
+    above = np.clip(excess, 0.0, None)
+    return float(above.max()) > _ONE * float(above.sum())
 
 
 def _innovations(at: Refit) -> _Array:

@@ -86,12 +86,13 @@ wheels: $(VENV)/.created
 lint: $(VENV)/.package $(VENV)/.lint
 	$(MAKE) --no-print-directory --jobs=2 --output-sync=target lint-rust lint-python
 
-# The crate is checked without its default features as well, which the demo builds it without.
+# The crate is checked without its default features as well, which the demo builds it without. With its examples it is documented from
+# the packages that clippy has checked; alone it needs them with other features, and checks them all again.
 lint-rust: $(VENV)/.lint
 	$(CARGO) fmt --all --check
 	$(activate) $(CARGO) clippy --workspace --all-targets -- -D warnings
 	$(CARGO) check -p phugoid --no-default-features
-	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --no-deps -p phugoid
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --no-deps --workspace --lib --examples
 
 # The stub of the bindings is compared with them in a package of their own: otherwise stubtest analyses all of this one again.
 lint-python: $(VENV)/.package $(VENV)/.lint

@@ -26,7 +26,7 @@ export MPLBACKEND := Agg
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: help test test-all test-rust test-python demo bench docs wheels lint format develop clean
+.PHONY: help test test-all test-rust test-python demo bench docs wheels lint lint-rust lint-python format develop clean
 
 help:
 	@echo "make test     all tests, Rust and Python       make demo     examples/demo.py, results in out/"
@@ -81,17 +81,30 @@ wheels: $(VENV)/.created
 	$(if $(FREE_THREADED),$(py) tools/try_wheel.py out/wheels/*t-manylinux*.whl --versions newest --python $(FREE_THREADED))
 	ls -l out/wheels
 
+# Rust and Python are checked side by side: one core each is all that either can use for most of the time. The output of each is shown
+# when it ends.
 lint: $(VENV)/.package $(VENV)/.lint
-	$(py) tools/check_layers.py
-	$(py) tools/check_words.py
+	$(MAKE) --no-print-directory --jobs=2 --output-sync=target lint-rust lint-python
+
+# The crate is checked without its default features as well, which the demo builds it without. With its examples it is documented from
+# the packages that clippy has checked; alone it needs them with other features, and checks them all again.
+lint-rust: $(VENV)/.lint
 	$(CARGO) fmt --all --check
 	$(activate) $(CARGO) clippy --workspace --all-targets -- -D warnings
-	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --no-deps -p phugoid
+	$(CARGO) check -p phugoid --no-default-features
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --no-deps --workspace --lib --examples
+
+# The stub of the bindings is compared with them in a package of their own: otherwise stubtest analyses all of this one again.
+lint-python: $(VENV)/.package $(VENV)/.lint
+	$(py) tools/check_layers.py
+	$(py) tools/check_words.py
 	$(py) -m ruff check
 	$(py) -m ruff format --check
 	$(py) -m codespell_lib
 	$(py) -m mypy
-	$(py) -m mypy.stubtest phugoid._core
+	rm -rf out/stub && mkdir -p out/stub/phugoid && touch out/stub/phugoid/__init__.py
+	cp python/phugoid/_core.pyi `$(py) -c "import phugoid._core; print(phugoid._core.__file__)"` out/stub/phugoid
+	cd out/stub && MYPYPATH=. PYTHONPATH=. $(abspath $(py)) -m mypy.stubtest phugoid._core
 
 format: $(VENV)/.lint
 	$(CARGO) fmt --all

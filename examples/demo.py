@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import argparse
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import hfb320
@@ -69,18 +71,22 @@ def main() -> None:
     check = base.validate(second)
     print(check.summary())
 
-    step("3 of 4: diagnosis, among some 250 candidates")
-    diagnosis = ph.diagnose(base, validation=second, progress=True)
-    print(diagnosis.summary())
-
-    # Where no cause is named there may be an unknown function or a minor finding, which `minor` adds to the model.
-    extended = diagnosis.extend(minor=not diagnosis.extend().added)
-    step(f"4 of 4: extension by {', '.join(extended.added) or 'nothing'}")
-    print(extended.gain.summary())
-
     pages = args.out / "hfb320.html", args.out / "hfb320_missing.html"
-    fit.report(pages[0], validation=check if base is fit else None)
-    diagnosis.report(pages[1])
+    # The page of the fit is drawn by a process of its own meanwhile: a diagnosis uses one core for most of its time.
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as beside:
+        page_of_fit = beside.submit(fit.report, pages[0], validation=check if base is fit else None)
+
+        step("3 of 4: diagnosis, among some 250 candidates")
+        diagnosis = ph.diagnose(base, validation=second, progress=True)
+        print(diagnosis.summary())
+
+        # Where no cause is named there may be an unknown function or a minor finding, which `minor` adds to the model.
+        extended = diagnosis.extend(minor=not diagnosis.extend().added)
+        step(f"4 of 4: extension by {', '.join(extended.added) or 'nothing'}")
+        print(extended.gain.summary())
+
+        diagnosis.report(pages[1])
+        page_of_fit.result()
     step("done")
     print(f"{pages[0].resolve()}  the fit")
     print(f"{pages[1].resolve()}  what the model misses, and its new equations")

@@ -393,7 +393,7 @@ def test_a_hidden_curvature_shows_in_the_fit() -> None:
     found = misfit(hidden(lambda m: 30.0 * (ph.Expr.symbol("alpha") - 0.11) ** 2))
     for name in ("alpha", "q", "ax"):
         c = found.channels[name]
-        assert c.ratio > 1.2 and c.telling is not None and c.telling.variable == "alpha"
+        assert c.ratio > 1.2 and c.main_regime is not None and c.main_regime.variable == "alpha"
         assert " with alpha" in c.summary()
 
 

@@ -23,7 +23,8 @@ NO_VERBS = {
 PHRASES = re.compile(
     r"pass(es)?\s+for\s+white|(found|estimated)\s+anew|holds?\s+zero\b|told\s+of|not\s+told|tells?\s+nothing|"
     r"as\s+coloured\s+as\s+(they\s+are|the\s+residuals)|what\s+to\s+beware\s+of|all\s+else\s+was\s+sought|did\s+not\s+prove\s+itself|"
-    r"in\s+place\s+of\s+something\s+else|as\s+much\s+as\s+its\s+noise|reads\s+(much\s+)?like|hardly\s+held|cause\s+and\s+its\s+rivals|"
+    r"in\s+place\s+of\s+something\s+else|as\s+much\s+as\s+its\s+noise|reads\s+(much\s+)?like|hardly\s+held|speaks?\s+against|"
+    r"\bwander(s|ing)?\b|(?<![\"'])\brivals?\b|"
     r"all\s+else\s+is\s+sought|to\s+be\s+believed|tells?\s+whether|first\s+states?\b|(tells?|told)(\s+\w+){0,2}\s+(apart|from)\b",
     re.IGNORECASE,
 )

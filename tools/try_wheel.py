@@ -94,7 +94,10 @@ class Environment:
         self.scripts = self.folder / "env" / ("Scripts" if os.name == "nt" else "bin")
         # Found as the user finds it: commands of the environment see no other folders than the system's.
         asked = [self.python, "-c", "import sys; print(sys.executable)"]
-        python = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+        try:
+            python = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+        except (OSError, subprocess.CalledProcessError) as error:
+            sys.exit(f"try_wheel: '{self.python}' does not run; give the path of a Python by --python ({error})")
         if Path(python).resolve() == Path(sys.executable).resolve():
             venv.create(self.folder / "env", with_pip=True)
         else:

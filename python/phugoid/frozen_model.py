@@ -189,8 +189,8 @@ def mesh_for(fit: FitResult, experiments: Sequence[Experiment]) -> Transcription
 
 
 def _at_samples(t: _Array, length: float) -> _Array:
-    """Return ends of segments of about a length, at samples, since inputs bend there and segments should not straddle
-    that."""
+    """Return ends of segments of about a length, at samples, since inputs have corners there and segments should not
+    straddle that."""
     count = math.ceil(float(t[-1] - t[0]) / length - 1e-9)
     ends = np.linspace(t[0], t[-1], count + 1)
     after = np.clip(np.searchsorted(t, ends), 1, t.size - 1)

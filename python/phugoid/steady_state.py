@@ -97,8 +97,8 @@ def from_steady_state(
 
 def _check_model(model: Model) -> None:
     """Raise ModelError where a model has no steady state before a record."""
-    told = {state for end, state, _ in model.end_conditions if end == "initial"}
-    if free := [n for n in model.state_names if n not in told]:
+    known = {state for end, state, _ in model.end_conditions if end == "initial"}
+    if free := [n for n in model.state_names if n not in known]:
         raise ModelError(
             f"from_steady_state: the state '{free[0]}' has no initial condition, from which it would come to rest: "
             f"declare initial({free[0]}=...)"

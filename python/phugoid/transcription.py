@@ -253,8 +253,8 @@ class SingleShooting(_Shooting):
     ``integrator``: a Runge-Kutta method of fixed steps, "euler", "heun", "kutta", "rk4" or "dopri5", of orders 1 to 5.
     A step leads from sample to sample; ``substeps`` divides it. Instead, ``step`` (s) is the greatest length of a step,
     or ``steps`` their number in a segment, whatever the sample times; states at samples within a step come from the
-    cubic through its ends with the slopes there. Inputs bend at samples, so steps across them lose accuracy. In a
-    record with inputs that are held between samples, steps also end where these jump and at the samples.
+    cubic through its ends with the slopes there. Inputs have corners at samples, so steps across them lose accuracy. In
+    a record with inputs that are held between samples, steps also end where these jump and at the samples.
     ``threads`` 0 is one a core.
     """
 

@@ -191,7 +191,7 @@ def _servo(t: _Array, which: int) -> dict[str, _Array]:
 
 
 def _tank(t: _Array, which: int) -> dict[str, _Array]:
-    """Return voltages of the pump that are drawn anew every 40 s."""
+    """Return voltages of the pump of which new ones are drawn every 40 s."""
     levels = np.random.default_rng(7 + which).uniform(1.0, 5.0, 41)
     return {"pump": np.repeat(levels, 10)[: t.size]}
 

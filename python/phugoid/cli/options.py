@@ -190,7 +190,9 @@ def _quoted(option: str) -> str:
 class Reading:
     """Hold the options of `read` for data files, as texts. Raises OptionError for invalid ones."""
 
-    time: Annotated[str | None, Option("--time", help="Time column; default: t, or time.", metavar="NAME")] = None
+    time: Annotated[
+        str | None, Option("--time", help="Time column; default: t, time or another common name.", metavar="NAME")
+    ] = None
     rate: Annotated[
         float | None, Option("--rate", help="Sampling rate of a file without a time column.", metavar="RATE")
     ] = None

@@ -247,7 +247,7 @@ class Preprocessing:
         if rate > old * (1.0 + 1e-9):
             raise OptionError(
                 f"resample: experiment '{name}' was sampled at a rate of {old:g}, and {rate:g} would make outputs that "
-                "nobody measured; for finer inputs take .upsample_inputs(factor)"
+                "were not measured; for finer inputs take .upsample_inputs(factor)"
             )
         if self._signals:
             raise OptionError(

@@ -178,8 +178,8 @@ def plan(
     each record free. For a right model, `estimate` gives the same after the flight.
 
     source     a model, with its ``values``; or a fit, whose values and noise are taken where not given.
-    manoeuvre  inputs over the times of the samples, ``Experiment(t, inputs={...})``, see `phugoid.design`; a list is
-               flown one after the other. Where it has a channel of an output, that output is missing where the channel
+    manoeuvre  inputs over the times of the samples, ``Experiment(t, inputs={...})``, see `phugoid.design`; those of a
+               list follow one another. Where it has a channel of an output, that output is missing where the channel
                is NaN, which describes sensors of lower rates. Measured conditions (`Model.conditions`) that it does not
                give are constant at their mean in the records of the fit; a warning names a condition that it changes.
     values     of parameters, by name; of those not named the model's starts, or the fit's.

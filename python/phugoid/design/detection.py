@@ -64,7 +64,8 @@ def manoeuvres(
     An input is excited where it departs from its trim, the median of the last ``trim`` s. A manoeuvre starts from an
     input at rest for 2 s and ends in one, and is large beside what the input does around it, outside of manoeuvres
     (20 times the standard deviation over 4 s, less noise). Controls that a pilot or an autopilot moves all the time are
-    spans of the kind "continuous". A 3-2-1-1 is recognised where its steps are a bit off, as those flown by hand are.
+    spans of the kind "continuous". A 3-2-1-1 is recognised where its steps are a bit off, as in manoeuvres flown by
+    hand.
 
     run        the record, such as `read` gives it of a log.
     inputs     names of the inputs to look at; None: all of the record.

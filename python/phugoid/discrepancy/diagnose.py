@@ -301,7 +301,9 @@ def _is_of_inputs(state: Inquiry) -> bool:
     assert remainder is not None
     known = {b.cause for b in state.inputs if b.kind != "cubic"}
     slowly = state.sampled is not None and not is_structured(state.search.cache.base, RemainderSettings().structure)
-    return not known.isdisjoint((remainder.disturbance.name, *remainder.rivals)) or (slowly and remainder.is_noise)
+    return not known.isdisjoint((remainder.disturbance.name, *remainder.alternatives)) or (
+        slowly and remainder.is_noise
+    )
 
 
 def _within(deadline: Deadline, work: Callable[[], _Found], otherwise: _Found) -> _Found:

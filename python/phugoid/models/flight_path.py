@@ -306,10 +306,10 @@ def _chosen(what: str, given: Collection[str] | None, usual: set[str], known: se
 def _observable_biases(measured: Collection[str], inertial: Collection[str]) -> set[str]:
     """Return the channels whose bias is observable from the others."""
     path = {"h", "v_down"}.intersection(measured)
-    tells = {
+    determining = {
         "ax": {"V"}, "ay": {"beta"}, "az": {"alpha", *path}, "p": {"phi"}, "q": {"theta"}, "r": {"psi"},
     }  # fmt: skip
-    found = {c for c in inertial if tells[c].intersection(measured)}
+    found = {c for c in inertial if determining[c].intersection(measured)}
     return found | ({"alpha"} if path and "alpha" in measured else set())
 
 

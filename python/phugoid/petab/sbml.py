@@ -284,7 +284,7 @@ class SbmlModel:
             self._jump(name, _in_order(name, own))
 
     def set_after_rest(self, name: str, value: Expr, formulas: Formulas) -> None:
-        """Let a state begin anew at a value at time 0, after a steady state.
+        """Set a state to a value at time 0, after a steady state.
 
         Raises ModelError where events set it, too.
         """

@@ -201,7 +201,11 @@ class Effect(Candidate):
         """Return whether the record can say anything of it at all."""
         if not all(self.scales.varies(name) for name in self.variables):
             return False
-        return len(self.variables) != 1 or self.family not in _SHAPED or self.scales.tells(*self.variables, self.family)
+        return (
+            len(self.variables) != 1
+            or self.family not in _SHAPED
+            or self.scales.distinguishes(*self.variables, self.family)
+        )
 
     def variants(self, points: Sequence[Points]) -> Sequence[Candidate]:
         """Return, of one that is centred at a trim, those about zero, where that is no further from the record's values

@@ -349,7 +349,7 @@ def _random(
     # Half of them on the positive side: equations may hold a root or a logarithm.
     draws = random.uniform(-1.0, 1.0, (len(names), 4 * n))
     draws[:, ::2] = np.abs(draws[:, ::2])
-    # Wider than the record: where a speed hardly varies, what goes with it would look like a constant.
+    # Wider than the record: where a speed hardly varies, a term in proportion to it would look like a constant.
     widths = [max(1.3 * scales.span(name), 0.3 * abs(scales.centre(name))) for name in names]
     columns = [scales.centre(name) + w * row for name, w, row in zip(names, widths, draws, strict=True)]
     t = scales.begin + scales.duration * np.sort(random.random(4 * n))

@@ -161,7 +161,7 @@ class ParameterLaw(Effect):
 @dataclass(frozen=True, eq=False, repr=False)
 class FactorExponent(Effect):
     """The parameter p of a term p x becomes p (x / x0)^e, where x, the ``variables``' only one, stays positive: the
-    term goes with the power 1 + e of x, as a heat transfer does with a flow."""
+    term is in proportion to the power 1 + e of x, as a heat transfer does with a flow."""
 
     def worthwhile(self) -> bool:
         return super().worthwhile() and self.scales.stays_positive(*self.variables)

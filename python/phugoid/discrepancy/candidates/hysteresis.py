@@ -100,7 +100,7 @@ class Hysteresis(Effect):
 @dataclass(frozen=True, eq=False, repr=False)
 class Stribeck(Effect):
     """Dry friction that is larger at rest: c sign(v) exp(-(v / v_s)^2), beside Coulomb friction (Armstrong-Helouvry,
-    Dupont and Canudas de Wit 1994, eq. 5): sought where that is there, for a wide one is nearly the same.
+    Dupont and Canudas de Wit 1994, eq. 5): a candidate where that is there, since a wide one is nearly the same.
 
     ``direction``: the sign with which the place adds to the rate of v, 0 where it is not known.
     """

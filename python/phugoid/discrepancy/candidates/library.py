@@ -89,7 +89,7 @@ def candidates(
     backlash, limited rate, lag, delay; of conditions (`Model.conditions`) scale, bias and delay.
     Parameters of the state equations may change in the course of a record, alone or several at one time, or with the
     integral of an input, and so may masses; rates saturate with what is stored; forces decay with a position; what is
-    in proportion to an amount may go with another power of it.
+    in proportion to an amount may be so to another power of it.
     Effects that the parameters of the model can represent are left out, and of candidates with the same effect those
     remain whose family comes first in `FAMILIES`.
 

@@ -223,19 +223,21 @@ class ModelStructure:
 
     @property
     def factors_of_parameters(self) -> list[tuple[str, Variable]]:
-        """The free parameters, each with an input that all it multiplies goes with in proportion, and that is no angle.
-        Of states there are powers and roots."""
+        """The free parameters, each with an input to which all that it multiplies is in proportion, and that is no
+        angle. Of states there are powers and roots."""
         inputs = [v for v in self.variables if v.kind == "input"]
         amounts = [v for v in inputs if self.model.variable_units.get(v.symbol, "") not in ANGLES]
         return self._factors(amounts, lambda e, name: _vanishes_at_zero(e, name) and _is_linear(e, name))
 
-    def _factors(self, among: Sequence[Variable], go_with: Callable[[Expr, str], bool]) -> list[tuple[str, Variable]]:
-        """Return the free parameters, each with a variable that all it multiplies goes with."""
+    def _factors(
+        self, among: Sequence[Variable], is_proportional: Callable[[Expr, str], bool]
+    ) -> list[tuple[str, Variable]]:
+        """Return the free parameters, each with a variable to which all that it multiplies is in proportion."""
         groups = [*self.quantities.values(), *self.dynamics.values()]
         found = []
         for name in self.acting:
             slopes = [Expr(e.diff(name)) for e in groups if name in e.symbols]
-            found += [(name, v) for v in among if slopes and all(go_with(s, v.symbol) for s in slopes)]
+            found += [(name, v) for v in among if slopes and all(is_proportional(s, v.symbol) for s in slopes)]
         return found
 
     def force_on(self, speed: str) -> Place | None:

@@ -160,7 +160,7 @@ class Scales:
         low, high = self.low[name], self.high[name]
         return high - low > _CONSTANT * max(abs(low), abs(high))
 
-    def tells(self, name: str, family: str) -> bool:
+    def distinguishes(self, name: str, family: str) -> bool:
         """Return whether a variable takes enough values to distinguish a function of it, of one of the families, from a
         constant and a linear part: any function of two levels is such a sum, and any odd function of three that lie
         evenly."""
@@ -232,7 +232,7 @@ def levels_of(values: _Array) -> int:
     if not span > 0.0:
         return 0
     counts = np.unique(np.round((values - values.min()) / (_SAME * span)), return_counts=True)[1]
-    # Most of the time an input may rest at its trim: what levels it has beside that is told by the other samples.
+    # Most of the time an input may rest at its trim: the other samples show which levels it has beside that.
     others = np.sort(counts)[:-1]
     beside, often = others.sum(), others[others > _OFTEN * others.sum()]
     few = beside - often.sum() < min(_PASSING * values.size, _BESIDE * beside)

@@ -125,7 +125,7 @@ _TIMES, _WIDE = 24, 2.0
 @dataclass(frozen=True, eq=False, repr=False)
 class Jump(Effect):
     """A parameter p becomes p + d from a time on: a load that is dropped, a flap that is set, a part that fails. Or an
-    output does: an altimeter that is set anew, an encoder that slips."""
+    output does: an altimeter that is set again, an encoder that slips."""
 
     transferable = False
 

@@ -39,11 +39,11 @@ DISCRIMINATES = 6.0
 
 @dataclass(frozen=True)
 class DiscriminatingManoeuvre:
-    """A manoeuvre that distinguishes a cause from rivals.
+    """A manoeuvre that distinguishes a cause from alternatives.
 
     manoeuvre  what to fly.
     record     its times and inputs, from the state in which the first record begins.
-    gains      rival -> expected gain in log-likelihood of the cause over it.
+    gains      alternative -> expected gain in log-likelihood of the cause over it.
     here       gain over the likeliest of these in the records at hand.
     """
 
@@ -62,7 +62,7 @@ class DiscriminatingManoeuvre:
 
 
 def _so_far(gain: float) -> str:
-    """Return what the records at hand say of a cause against its likeliest rival."""
+    """Return what the records at hand say of a cause against its likeliest alternative."""
     if gain < -0.05:
         return f"the present records are {-gain:.1f} in favour of the likeliest of these"
     return f"the present records give {gain:.1f}"
@@ -74,7 +74,7 @@ class Advice:
 
     manoeuvres  each for the aliases that the preceding ones do not distinguish from the cause.
     alike       aliases that none distinguishes from it.
-    tried       inputs that were moved; none where no manoeuvre could be flown.
+    tried       inputs that were moved; none where there was no admissible manoeuvre.
     length      of a manoeuvre and what follows at most, in ``time_unit``.
     """
 
@@ -85,7 +85,7 @@ class Advice:
     time_unit: TimeUnit = SECONDS
 
     def __str__(self) -> str:
-        """Return the advice in words; "" where no manoeuvre could be flown."""
+        """Return the advice in words; "" where there was no admissible manoeuvre."""
         sentences = [str(t) for t in self.manoeuvres]
         if self.alike and self.tried:
             sentences.append(
@@ -96,41 +96,41 @@ class Advice:
         return " ".join(sentences)
 
 
-def discrimination_advice(final: Refit, rivals: Sequence[Refit]) -> str:
-    """Return `advised` in words; "" where no manoeuvre could be flown."""
-    return str(advised(final, rivals))
+def discrimination_advice(final: Refit, alternatives: Sequence[Refit]) -> str:
+    """Return `advised` in words; "" where there was no admissible manoeuvre."""
+    return str(advised(final, alternatives))
 
 
-def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
+def advised(final: Refit, alternatives: Sequence[Refit]) -> Advice:
     """Return the manoeuvre that would best distinguish the cause in ``final`` from another one in its place, in each of
-    ``rivals``.
+    ``alternatives``.
 
     Manoeuvres of each control that moved in the records are tried, the other inputs constant, from the state in which
     the first record begins. Those that leave the envelope of the records are not considered: the models are not known
-    to be valid there. The one chosen distinguishes the cause from most of ``rivals``; among equals it has the greatest
-    smallest gain. There is no advice on a disturbance, since that differs from record to record.
+    to be valid there. The one chosen distinguishes the cause from most of ``alternatives``; among equals it has the
+    greatest smallest gain. There is no advice on a disturbance, since that differs from record to record.
     """
-    names = [next(n for n in r.names if n not in final.names) for r in rivals]
+    names = [next(n for n in r.names if n not in final.names) for r in alternatives]
     nothing = Advice((), tuple(names), (), 0.0)
-    if any(not c.transferable for r in rivals for c in final.candidates if c.name not in r.names):
+    if any(not c.transferable for r in alternatives for c in final.candidates if c.name not in r.names):
         return nothing
     flyable = CandidateManoeuvres(final)
     if not flyable.manoeuvres:
         return nothing
     with np.errstate(over="ignore", invalid="ignore"):  # manoeuvres that ran away
-        found = np.array([flyable.gains(r, DISCRIMINATES) for r in rivals]).reshape(
-            len(rivals), -1
-        )  # (rivals, manoeuvres)
+        found = np.array([flyable.gains(r, DISCRIMINATES) for r in alternatives]).reshape(
+            len(alternatives), -1
+        )  # (alternatives, manoeuvres)
     gains = np.nan_to_num(found)
-    here = [final.own.log_likelihood - r.own.log_likelihood for r in rivals]
-    open_ = [k for k in range(len(rivals)) if gains[k].max() >= DISCRIMINATES]
-    # Of a rival that has no solution anywhere there is nothing to say.
+    here = [final.own.log_likelihood - r.own.log_likelihood for r in alternatives]
+    open_ = [k for k in range(len(alternatives)) if gains[k].max() >= DISCRIMINATES]
+    # Of an alternative that has no solution anywhere there is nothing to say.
     alike = tuple(n for k, n in enumerate(names) if k not in open_ and np.isfinite(found[k]).any())
     chosen = []
     while open_:
-        told = gains[open_] >= DISCRIMINATES
-        least = np.where(told, gains[open_], np.inf).min(axis=0)
-        best = int(np.lexsort((least, told.sum(axis=0)))[-1])
+        decided = gains[open_] >= DISCRIMINATES
+        least = np.where(decided, gains[open_], np.inf).min(axis=0)
+        best = int(np.lexsort((least, decided.sum(axis=0)))[-1])
         mine = [k for k in open_ if gains[k, best] >= DISCRIMINATES]
         over = {names[k]: float(gains[k, best]) for k in mine}
         chosen.append(
@@ -156,8 +156,8 @@ def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequenc
     named = search.cache.by_name
     refits = [search.cache.refit([*others, named[name]], final.fit) for name in aliases]
     # Another finding may have an alias of this one for its cause.
-    rivals = [r for r in refits if r is not None and not {*r.names} <= {*final.names}]
-    if not rivals:
+    alternatives = [r for r in refits if r is not None and not {*r.names} <= {*final.names}]
+    if not alternatives:
         return ""
     search.cache.watch(f"looking for a manoeuvre that distinguishes {candidate.name} from {', '.join(aliases)}")
-    return discrimination_advice(final, rivals)
+    return discrimination_advice(final, alternatives)

@@ -30,7 +30,7 @@ _NOTHING = 1e-12
 
 
 class RivalAdjustment:
-    """``moved`` (k, n_y, N): how the rival's outputs move with what is free in it, by units; ``tied`` (k,) is how
+    """``moved`` (k, n_y, N): how the alternative's outputs move with what is free in it, by units; ``tied`` (k,) is how
     firmly each is held to its estimate, in units too. ``present`` (n_y, N) marks the samples that there are."""
 
     def __init__(self, present: _Mask, channels: Filter, moved: _Array, tied: _Array) -> None:
@@ -91,7 +91,7 @@ GREATEST, _SMALL = 1.5, (0.4, 0.15)
 _SIZES = (GREATEST, 1.2, 1.0, 0.8, 0.6, *_SMALL)
 # The envelope: where the model was identified, and this often as far from the beginning. Or so many sigmas.
 _ENVELOPE, _STILL = 2.0, 10.0
-# Parts of the step towards the cause's outputs that the rival's parameters try, and how often.
+# Parts of the step towards the cause's outputs that the alternative's parameters try, and how often.
 _PARTS, _ROUNDS = (1.0, 0.3), 2
 # Manoeuvres whose gain is this far below that required, to first order, are not evaluated further.
 _HOPELESS = 0.3
@@ -142,7 +142,7 @@ class CandidateManoeuvres:
         self.inputs = self._inputs(self.manoeuvres)
 
     def _listed(self) -> list[CandidateManoeuvre]:
-        """All, the greatest first; none of conditions, which nobody commands."""
+        """All, the greatest first; none of conditions, which are not commanded."""
         model, data = self.final.fit.model, self._data
         listed: list[CandidateManoeuvre] = []
         self._sizes: list[float] = []
@@ -198,14 +198,14 @@ class CandidateManoeuvres:
         inputs = {name: u[:n] for name, u in zip(names, self.inputs[i], strict=True)}
         return Experiment(self.t[:n], inputs, name=str(self.manoeuvres[i]))
 
-    def gains(self, rival: Refit, least: float) -> _Array:
-        """Return (M,) expected gains in log-likelihood over a rival from data of each manoeuvre; 0 where it is below
-        ``least``, NaN where the rival has no solution.
+    def gains(self, alternative: Refit, least: float) -> _Array:
+        """Return (M,) expected gains in log-likelihood over an alternative from data of each manoeuvre; 0 where it is
+        below ``least``, NaN where the alternative has no solution.
 
-        The rival takes a few steps with the derivatives at its estimates towards the outputs of the cause: what then
-        counts is the difference itself, less what another step would still take, to first order.
+        The alternative takes a few steps with the derivatives at its estimates towards the outputs of the cause: what
+        then counts is the difference itself, less what another step would still take, to first order.
         """
-        response = ManoeuvreResponse(rival, self.t, self.trim)
+        response = ManoeuvreResponse(alternative, self.t, self.trim)
         found = np.zeros(len(self.manoeuvres))
         late = np.vstack([self.cause.late, response.late])
         y, _ = response.simulate(self.inputs)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...renamed import Renamed
 from ...residual_noise import WITHIN, Series, autocorrelation_of, same_rate
 from ...residual_noise.autoregression import (
     Autoregression,
@@ -130,18 +131,21 @@ class ChannelMisfit:
 
     @property
     def follows(self) -> Dependence | None:
-        """The clearest correlation, where there is one that is worth a word."""
-        # A quick part of residuals may follow a variable beyond chance, and yet be next to nothing of the whole.
+        """The clearest correlation, where one is large enough to be reported."""
+        # A fast part of residuals may be correlated with a variable beyond chance, and yet be a negligible part of
+        # them.
         clear = (c for c in self.correlations if c.p_value < _ALPHA and abs(c.r) >= _WORTH)
         return next(clear, None)
 
     @property
-    def telling(self) -> Regime | None:
+    def main_regime(self) -> Regime | None:
         """The regime to look at: the clear one, else that of the variable followed, else that with the most power."""
         if self.regime is not None:
             return self.regime
         followed = [r for r in self.regimes if self.follows is not None and r.variable == self.follows.variable]
         return max(followed or self.regimes, key=lambda r: r.share, default=None)
+
+    telling = Renamed("main_regime")
 
     @property
     def structured(self) -> bool:

@@ -292,7 +292,7 @@ def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
 
 
 def _draw_regime(axis: Axes, c: ChannelMisfit) -> None:
-    regime = c.telling
+    regime = c.main_regime
     if regime is None:
         _empty(axis, "no regimes:\ntoo few samples, or nothing moves")
         return

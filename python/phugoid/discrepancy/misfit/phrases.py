@@ -71,7 +71,7 @@ def _times(c: Any) -> str:
 
 def _perhaps(c: Any) -> list[str]:
     """Return the regime with the most of the residuals' power, where that is much, but slow noise might have it too."""
-    most = c.telling
+    most = c.main_regime
     if most is None or most.share < _MUCH:
         return []
     share = percent(most.share)

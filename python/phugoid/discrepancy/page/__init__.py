@@ -204,10 +204,10 @@ def finding_lines(finding: Finding) -> list[str]:
             for name in finding.aliases
         ]
         doubted = "is not proved" if finding.ringing else "does not predict held-out data"
-        told = "The data do not distinguish it from" if finding.cause else f"What fits, but {doubted}"
+        label = "The data do not distinguish it from" if finding.cause else f"What fits, but {doubted}"
         if finding.is_drawn and not finding.cause:
-            told = "Name of this candidate"
-        lines.append(f"{told}: {', '.join(others)}.")
+            label = "Name of this candidate"
+        lines.append(f"{label}: {', '.join(others)}.")
     if finding.advice:
         lines.append(finding.advice)
     return lines

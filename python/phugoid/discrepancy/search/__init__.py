@@ -73,7 +73,7 @@ class SearchResult:
     surrogates: Mapping[str, str] = field(default_factory=dict)
 
     def of(self, candidate: Candidate) -> Refit:
-        """Return the refit in which a finding is told."""
+        """Return the refit that a finding is reported from."""
         return self.final if candidate.name in self.final.names else self.full
 
 
@@ -169,7 +169,7 @@ class Search:
                     following = following if self.assessment.is_worse(current, plain, following) else plain
             if following is None and is_structured(current, self.settings.doubt):
                 further, _ = self.confirmation.accepted(current, self.refitting.tries(current, times=2))
-                # A cause is sought so far, and no trifle.
+                # Only causes are searched for so far, no minor findings.
                 following = further if further is not None and not self._is_minor(current, further) else None
             if following is None or following.names in seen:
                 break
@@ -327,7 +327,7 @@ class Search:
             candidate = next(c for c in at.candidates if c.name == name)
             others = [c for c in at.candidates if c is not candidate]
             best, rank = at, plausibility(candidate, self.cache.base.fit.model)
-            for r, ahead in self.refitting.rivals(at, candidate):
+            for r, ahead in self.refitting.alternatives(at, candidate):
                 if r is at or r.names == at.names:
                     continue
                 (new,) = r.beside(others)
@@ -358,7 +358,7 @@ class Search:
                 c
                 for c in at.candidates
                 if not assess.is_named(at, c, explained[c.name], rest[c.name])
-                or self._wanders(at, c)
+                or self._is_random_walk(at, c)
                 or self._is_chance(at, c)
             ]
             if not weak:
@@ -404,12 +404,13 @@ class Search:
         without = self._without(at, candidate)
         return without is not None and self.assessment.gain(without, at) <= self.assessment.needed(at, candidate)
 
-    def _wanders(self, at: Refit, candidate: Candidate) -> bool:
-        """Return whether a term of this record alone, beside the others, is no likelier than sensors that wander."""
+    def _is_random_walk(self, at: Refit, candidate: Candidate) -> bool:
+        """Return whether a term of this record alone, beside the others, is no likelier than random walks of the
+        sensors."""
         if candidate.transferable:
             return False
         without = self._without(at, candidate)
-        return without is not None and self.assessment.wanders(without, at, candidate)
+        return without is not None and self.assessment.is_random_walk(without, at, candidate)
 
     def shared(self, at: Refit) -> Refit:
         """Return the refit without disturbances and drifts with which, as they were fitted, the simulation of the

@@ -34,9 +34,10 @@ _AHEAD, _ALONE = 4.0, 9.0
 
 
 def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
-    """Return whether the signal of a candidate in an output goes with the noise of that output only by what was not
-    determined before each sample, so that it follows the noise: of two coefficients in place of one, for what its past
-    and that of the residuals predict and for the rest, the first is likelier to be zero than to equal the second."""
+    """Return whether the signal of a candidate in an output is correlated with the noise of that output only by what
+    was not determined before each sample, so that it follows the noise: of two coefficients in place of one, for what
+    its past and that of the residuals predict and for the rest, the first is likelier to be zero than to equal the
+    second."""
     if candidate.place.kind != "output" or len(candidate.coefficients) != 1:
         return False
     linear, seen = base.linear, base.own
@@ -61,7 +62,7 @@ def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
         return False
     both = np.zeros((signal.size, 2))
     both[at] = np.column_stack([predicted, signal[at] - predicted])
-    # Parameters of the model may have taken up a part of what goes with either.
+    # Parameters of the model may have taken up a part of what is correlated with either.
     both -= seen.basis @ (seen.basis.T @ both)
     found = np.linalg.lstsq(both, seen.errors, rcond=None)[0]
     left = seen.errors - both @ found

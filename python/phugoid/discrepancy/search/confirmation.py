@@ -32,7 +32,7 @@ __all__ = [
 class RefittingSettings:
     """How terms compete.
 
-    again   rivals that are refitted when a term is looked at again, of those with the greatest gains.
+    again   alternatives that are refitted when a term is looked at again, of those with the greatest gains.
     alike   the same, of those whose effect is nearly the same.
     apart   estimates with a correlation below this are taken as independent.
     rounds  replacements at most.
@@ -100,7 +100,7 @@ class Refitting:
             without = self._cache.refit(others, at.fit)
             if others and without is not None and assess.gain(without, at) < assess.threshold(candidate):
                 yield without
-            for r, _ in self.rivals(at, candidate):
+            for r, _ in self.alternatives(at, candidate):
                 if r is at:
                     break
                 if without is not None and (assess.goes_before(without, at, r) or assess.is_worse(without, r, at)):
@@ -116,7 +116,7 @@ class Refitting:
         """Return whether the estimates of two candidates hardly depend on each other: none casts doubt on the other."""
         return at.own.correlation(one.parameters, other.parameters) < self.settings.apart
 
-    def rivals(self, at: Refit, candidate: Candidate, fit: bool = True) -> list[tuple[Refit, float]]:
+    def alternatives(self, at: Refit, candidate: Candidate, fit: bool = True) -> list[tuple[Refit, float]]:
         """Refits with another in place of a candidate, and how much more likely they are through the same filter, less
         what the thresholds differ; the best first. Without ``fit`` those that are known already."""
         others = [c for c in at.candidates if c is not candidate]
@@ -125,7 +125,7 @@ class Refitting:
             return [(at, 0.0)]
         filter, s, assess = at.own.filter, self.settings, self._assessment
         if fit:
-            wanted = self._screen.rivals(without, candidate, filter, s.again, s.alike)
+            wanted = self._screen.alternatives(without, candidate, filter, s.again, s.alike)
             self._cache.refits([[*others, c] for c in wanted], at.fit)
         refits = [r for r in self._cache.with_one_more(others) if assess.is_admissible(without, r)]
         reference = at.through(filter).log_likelihood - assess.penalty(at, others) / 2
@@ -149,14 +149,14 @@ class ConfirmationSettings:
 
     chances  next best candidates that are tried when the best gains nothing on held-out data.
     ringing  candidates that are refitted where residuals ring.
-    vuong    a rival is an alias unless Vuong's test distinguishes them by this, or it has less than half of the gain in
-             log-likelihood and is ``far`` behind.
+    vuong    an alternative is an alias unless Vuong's test distinguishes them by this, or it has less than half of the
+             gain in log-likelihood and is ``far`` behind.
     richer   log-likelihood by which one with more unknowns must be ahead to be an alias.
     left     times as much of the misfit that a term may leave that stands in place of one with more unknowns.
-    alias    part of what a cause explains that a rival explains, too, be it clearly less in free simulation.
+    alias    part of what a cause explains that an alternative explains, too, be it clearly less in free simulation.
     noise    part of the residuals' power that their past predicts, below which they pass for noise.
-    beyond   log-likelihood by which a rival that acts alike to first order may be behind where they do, and a rival
-             that is worse in free simulation on data held out.
+    beyond   log-likelihood by which an alternative that acts alike to first order may be behind where they do, and an
+             alternative that is worse in free simulation on data held out.
     """
 
     chances: int = 3
@@ -178,20 +178,21 @@ class Found:
     ringing   Hz, of modes of the model at which the residuals ring, where that is what none explains beyond doubt.
     gain      in log-likelihood over the model with the other candidates.
     threshold that it had to pass.
-    rivals    those that the data do not distinguish from it: name -> gain they would have instead, the likeliest first.
+    alternatives    those that the data do not distinguish from it: name -> gain they would have instead, the likeliest
+                    first.
     explained the part of the misfit that it explains in free simulation of held-out data, beside the others.
-    rivals_explained   the same of the rivals, in its place.
+    alternatives_explained   the same of the alternatives, in its place.
     of_the_rest        the part that a minor one explains of the misfit that the others leave; NaN else.
     """
 
     candidate: Candidate | None
     gain: float
     threshold: float
-    rivals: Mapping[str, float]
+    alternatives: Mapping[str, float]
     held_out: HeldOut
     ringing: tuple[float, ...] = ()
     explained: Explained | None = None
-    rivals_explained: Mapping[str, float] = field(default_factory=dict)
+    alternatives_explained: Mapping[str, float] = field(default_factory=dict)
     of_the_rest: float = math.nan
 
 
@@ -260,9 +261,9 @@ class Confirmation:
             chances -= not known.issuperset(c.name for c in new)
             known |= {a.name for c in new for a in self._screen.alike(current, c, settled.own.filter)}
             # A walk of a sensor is coloured noise: nothing about it is unexplained.
-            if unexplained is None and evidence.gain > evidence.clear and not evidence.wanders:
-                rivals = {c.name: evidence.gain / 2 for c in new}
-                unexplained = Found(None, evidence.gain / 2, evidence.threshold / 2, rivals, evidence.held_out)
+            if unexplained is None and evidence.gain > evidence.clear and not evidence.random_walk:
+                alternatives = {c.name: evidence.gain / 2 for c in new}
+                unexplained = Found(None, evidence.gain / 2, evidence.threshold / 2, alternatives, evidence.held_out)
         return None, unexplained
 
     def _is_progress(self, current: Refit, found: Refit) -> bool:
@@ -372,18 +373,19 @@ class Confirmation:
         return self._cache.refit(others, at.fit) or self._cache.base
 
     def found(self, at: Refit, candidate: Candidate, named: bool) -> Found:
-        """Return what is reported of a term in the end; rivals of one that is not named are those that are known."""
+        """Return what is reported of a term in the end; alternatives of one that is not named are those that are
+        known."""
         assess = self._assessment
         others, without = [c for c in at.candidates if c is not candidate], self._without(at, candidate)
         filter = at.own.filter
         mine = at.through(filter).log_densities
         alike = {c.name for c in self._screen.alike(without, candidate, filter)}
-        rivals, parts = {}, {}
+        alternatives, parts = {}, {}
         own, held = assess.explained(without, at), assess.held_out(without, at)
         # Where a term leaves nothing but noise, likelihoods show what the first order does not.
         clean = not is_structured(at, self.settings.noise)
         confirmed = bool(self._cache.validation) and candidate.transferable and own is not None and own.part > _MOST
-        for r, _ in self._refitting.rivals(at, candidate, fit=named):
+        for r, _ in self._refitting.alternatives(at, candidate, fit=named):
             if r.names == at.names:
                 continue
             (other,) = r.beside(others)
@@ -410,16 +412,16 @@ class Confirmation:
             behind = held.gain - assess.held_out(without, r).gain
             if not (like and much) and behind > self.settings.beyond and assess.is_worse(without, r, at):
                 continue
-            rivals[other.name] = gain
+            alternatives[other.name] = gain
             if explained is not None:
                 parts[other.name] = explained.part
         return Found(
             candidate,
             assess.gain(without, at) / 2,
             assess.needed(at, candidate) / 2,
-            rivals,
+            alternatives,
             held,
             explained=own,
-            rivals_explained=parts,
+            alternatives_explained=parts,
             of_the_rest=self.of_the_rest(at, candidate, own),
         )

@@ -27,7 +27,7 @@ from ..candidates.scales import levels_of
 from .refit import Refit
 
 __all__ = [
-    "BENDS",
+    "LENGTH_SCALES",
     "Disturbance",
     "Disturbances",
     "disturbance_at",
@@ -51,10 +51,10 @@ _LIKELY = 2
 _PRODUCTS = 3e9
 # Correlation times of a disturbance that are tried, in knots; 0 is white.
 _CORRELATION = (0.0, 3.0, 12.0)
-# Parts of the range of a variable over which a function of it bends, the first for all variables, the others for the
-# likeliest; and nodes in each.
-BENDS, _NODES = (0.25, 0.1, 0.04), 2.5
-_BENDS_OF_TWO = 0.25, 0.15
+# Length scales over which a function of a variable changes, as parts of the variable's range: the first for all
+# variables, the others for the likeliest; and nodes in each.
+LENGTH_SCALES, _NODES = (0.25, 0.1, 0.04), 2.5
+_SCALES_OF_TWO = 0.25, 0.15
 _FEW_LEVELS = 3
 # Part of the squares of a time history that an event holds, within this part of the time.
 _EVENT, _SHORT = 0.7, 0.2
@@ -188,7 +188,7 @@ def functions_of(at: Refit, known: Collection[str], only: Sequence[str] = ()) ->
     places = [p for p in at.linear.places if p.kind in ("equation", "quantity") and p.name in known]
     places.sort(key=lambda p: (p.kind, p.name))
     found = sorted((h for p in places for h in functions(at, p, [(n,) for n in variables])), key=lambda h: -h.merit)
-    quicker = [h for best in found[:_LIKELY] for h in functions(at, best.place, [best.variables], BENDS[1:])]
+    quicker = [h for best in found[:_LIKELY] for h in functions(at, best.place, [best.variables], LENGTH_SCALES[1:])]
     return [*found, *quicker]
 
 
@@ -283,7 +283,7 @@ def functions(
     at: Refit,
     place: Place,
     over: Sequence[tuple[str, ...]],
-    bends: Sequence[float] = BENDS[:1],
+    length_scales: Sequence[float] = LENGTH_SCALES[:1],
     white: bool = False,
 ) -> list[Disturbance]:
     """Smooth random functions of one variable each or of two at a place, beside noise that is white or, unless only
@@ -293,8 +293,8 @@ def functions(
     found = []
     for names in over:
         check_time()
-        for bend in bends:
-            axes = tuple(_axis(linear.points, name, bend) for name in names)
+        for length_scale in length_scales:
+            axes = tuple(_axis(linear.points, name, length_scale) for name in names)
             if not all(nodes.size for nodes in axes):
                 break
             answers = linear.answers(place, [hats([p.values[n] for n in names], axes) for p in linear.points])
@@ -311,15 +311,15 @@ def functions(
     return found
 
 
-def _axis(points: Sequence[Points], variable: str, bend: float) -> _Array:
-    """Return nodes of a variable over its range, as many as a function that bends over a part of it needs; none where
+def _axis(points: Sequence[Points], variable: str, length_scale: float) -> _Array:
+    """Return nodes of a variable over its range, as many as a function of this length scale needs; none where
     the variable has too few values."""
     values = np.concatenate([p.values[variable] for p in points])
     low, high = float(values.min()), float(values.max())
     # Any function of two levels, as a relay has, is a constant and a linear part; three determine little more.
     if not high - low > 1e-9 * max(abs(low), abs(high)) or 0 < levels_of(values) <= _FEW_LEVELS:
         return np.empty(0)
-    return np.linspace(low, high, round(_NODES / bend) + 1)
+    return np.linspace(low, high, round(_NODES / length_scale) + 1)
 
 
 def hats(values: Sequence[_Array], axes: Sequence[_Array]) -> _Array:
@@ -338,11 +338,11 @@ def _smooth(size: int) -> _Array:
 
 
 def likeliest_function(at: Refit, place: Place, variables: tuple[str, ...], white: bool = False) -> Disturbance | None:
-    """Return the likeliest smooth function of one variable at a place, however quickly it bends, or of two, beside
+    """Return the likeliest smooth function of one variable at a place, of any length scale, or of two, beside
     noise of either kind, or ``white`` noise; None where a variable has too few values, or nothing is seen of the
     place."""
-    bends = BENDS if len(variables) == 1 else _BENDS_OF_TWO
-    return max(functions(at, place, [variables], bends, white), key=lambda h: h.merit, default=None)
+    length_scales = LENGTH_SCALES if len(variables) == 1 else _SCALES_OF_TWO
+    return max(functions(at, place, [variables], length_scales, white), key=lambda h: h.merit, default=None)
 
 
 def noises_of(at: Refit) -> list[tuple[Filter | None, _Array, int]]:

@@ -17,7 +17,7 @@ from .admissibility import follows_noise, is_determined, is_physical, is_plausib
 from .free_run import Explained, Misfitting, Simulated
 from .refit import HeldOut, LeftOut, Refit, across_blocks, gain_on_other_data, is_structured
 from .refit_cache import RefitCache
-from .ringing import is_near, wandering
+from .ringing import is_near, random_walk_gain
 from .screen import RICH, complexity
 
 __all__ = [
@@ -83,7 +83,7 @@ class Evidence:
     explained  the part of the misfit that is explained in free simulation of held-out data; None like ``held_out``,
                and where the model cannot be fitted there.
     rings      whether it is a disturbance at a mode at which the residuals ring.
-    wanders    whether a random walk of the sensors is likelier.
+    random_walk  whether a random walk of the sensors is likelier.
     """
 
     gain: float
@@ -93,7 +93,7 @@ class Evidence:
     predicts: bool = False
     explained: Explained | None = None
     rings: bool = False
-    wanders: bool = False
+    random_walk: bool = False
 
     @property
     def significant(self) -> bool:
@@ -105,7 +105,7 @@ class Evidence:
         """Return whether it is a finding: significant, confirmed by the likelihood of held-out data, and the free
         simulation of these is not worse for it."""
         worse = self.explained is None or self.explained.worse
-        return self.significant and self.predicts and not (self.rings or self.wanders or worse)
+        return self.significant and self.predicts and not (self.rings or self.random_walk or worse)
 
 
 class Assessment:
@@ -139,8 +139,8 @@ class Assessment:
         # no noise by whose likelihood it could be judged.
         predicts = self.predicts(held) or self._frees_of_error(base, more)
         rings = predicts and any(self._rings_too(more, c) for c in more.beside(base.candidates))
-        wanders = predicts and any(self.wanders(base, more, c) for c in more.beside(base.candidates))
-        return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings, wanders)
+        random_walk = predicts and any(self.is_random_walk(base, more, c) for c in more.beside(base.candidates))
+        return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings, random_walk)
 
     def is_admissible(self, base: Refit, more: Refit) -> bool:
         """Return whether the data determine what a refit has more than another, and it follows no noise."""
@@ -247,7 +247,7 @@ class Assessment:
 
     def _elsewhere(self, base: Refit, more: Refit) -> HeldOut | None:
         """Return the gain on the validation records; None where there are none, or these do not excite what a model has
-        and another has not, and neither confirm it nor speak against it."""
+        and another has not, and neither confirm nor contradict it."""
         key = base, more
         if key not in self._on_validation:
             new, others = more.beside(base.candidates), self._cache.on_validation(base)
@@ -315,7 +315,7 @@ class Assessment:
         it, and it explains most of their misfit, or the other is likelier by no more than chance.
 
         A parameter that drifts can follow any motion that changes in the course of a record, and no other record can
-        speak against it.
+        contradict it.
         """
         new, own = term.beside(base.candidates), other.beside(base.candidates)
         if not (new and own and self._cache.validation) or not all(c.transferable for c in new):
@@ -416,15 +416,15 @@ class Assessment:
         filter = ringing.filter if ringing else base.own.filter
         return 2.0 * (more.through(filter).log_likelihood - base.through(filter).log_likelihood)
 
-    def wanders(self, base: Refit, more: Refit, candidate: Candidate) -> bool:
+    def is_random_walk(self, base: Refit, more: Refit, candidate: Candidate) -> bool:
         """Return whether a candidate is no likelier than a random walk of the sensor, or of all sensors where it acts
-        on the vehicle: a walk rises, falls and swings slowly by chance, as many slow motions do. Beside a term that is
-        one no walk is left; where one is, the term must be significant in noise that walks."""
+        on the vehicle: a random walk rises, falls and swings slowly by chance, as many slow motions do. A term that is
+        a true cause leaves no random walk in the residuals; where it leaves one, it must be significant beside it."""
         if not isinstance(candidate, Effect):
             return False
         of_sensor = candidate.place.kind == "output"
         outputs = [candidate.place.name] if of_sensor else base.linear.model.output_names
-        before, after = wandering(base, outputs), wandering(more, outputs)
+        before, after = random_walk_gain(base, outputs), random_walk_gain(more, outputs)
         beyond = 2.0 * (after - before) + self.gain(base, more)
         return beyond < (self.needed(more, candidate) if after > 0.0 else 0.0)
 

@@ -57,7 +57,7 @@ _AGAIN = (
 def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | None = None) -> Finding:
     """Return what a search found as a finding: with the estimate in the model that it is fitted in, the extended one
     (``kept``) where it is part of that."""
-    aliases = tuple(found.rivals)[:_ALIASES]
+    aliases = tuple(found.alternatives)[:_ALIASES]
     if found.candidate is None:
         return Finding(
             cause="",
@@ -68,7 +68,7 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
             threshold=found.threshold,
             explanation=_rings(found.ringing, result.final.fit.model.time_unit) if found.ringing else _UNEXPLAINED,
             advice=_AGAIN if found.ringing else "",
-            alternatives=dict(found.rivals),
+            alternatives=dict(found.alternatives),
             ringing=found.ringing,
         )
     c = found.candidate
@@ -92,10 +92,10 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
         threshold=found.threshold,
         explanation=c.explanation + (f"; but {stands_in}" if stands_in else _remark(c, parameters, plausible)),
         units={n: final.fit.parameters[n].unit for n in parameters},
-        alternatives=dict(found.rivals),
+        alternatives=dict(found.alternatives),
         **_simulated(explained),
         explained_of_the_rest=found.of_the_rest,
-        alternatives_explained=dict(found.rivals_explained),
+        alternatives_explained=dict(found.alternatives_explained),
     )
 
 
@@ -129,10 +129,10 @@ def _remark(c: Candidate, parameters: Mapping[str, tuple[float, float]], plausib
 def no_optimum(fit: FitResult, words: str, likelier: Sequence[Refit], seconds: float) -> DiagnosisResult:
     """Return the diagnosis of a fit that ended at no optimum, and could not be brought to one: a misfit that is
     unexplained, with what the status means, and ``likelier`` fits with a term more that have an optimum."""
-    told = joined([f"{r.names[0]} ({r.fit.log_likelihood - fit.log_likelihood:+.0f})" for r in likelier], "or")
+    likeliest = joined([f"{r.names[0]} ({r.fit.log_likelihood - fit.log_likelihood:+.0f})" for r in likelier], "or")
     advice = (
-        f"With one term more the estimation has an optimum: {told} in log-likelihood. Add the one that the physics "
-        "suggests, and diagnose that fit."
+        f"With one term more the estimation has an optimum: {likeliest} in log-likelihood. Add the one that the "
+        "physics suggests, and diagnose that fit."
     )
     finding = Finding(cause="", status="unexplained", explanation=words, advice=advice if likelier else "")
     rms = Refit((), fit).rms
@@ -158,8 +158,8 @@ def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Find
     coefficient, error, unit = _size(r, fit) if named and d.kind == "noise" else (nan, nan, "")
     half = _INTERVAL * error
     label = "".join(c if c.isalnum() else "_" for c in d.name)
-    of_function = (d.name, *tuple(r.rivals)[: _ALIASES - 1]) if d.kind == "function" else ()
-    aliases = tuple(r.rivals)[:_ALIASES] if named else of_function
+    of_function = (d.name, *tuple(r.alternatives)[: _ALIASES - 1]) if d.kind == "function" else ()
+    aliases = tuple(r.alternatives)[:_ALIASES] if named else of_function
     return Finding(
         cause=d.name if named else "",
         aliases=aliases,
@@ -174,7 +174,7 @@ def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Find
         threshold=threshold,
         explanation=_explanation(r, fit.model.time_unit),
         advice=_advice(r),
-        alternatives=dict(r.rivals),
+        alternatives=dict(r.alternatives),
         units={label: unit} if named and d.kind == "noise" else {},
         **_simulated(r.explained),
         curve=_drawn(r) if len(d.axes) < 2 else {},
@@ -238,8 +238,8 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, model: Model) 
     return Finding(
         cause=h.cause,
         status="named",
-        aliases=tuple(h.rivals)[:_ALIASES],
-        alternatives=h.rivals,
+        aliases=tuple(h.alternatives)[:_ALIASES],
+        alternatives=h.alternatives,
         coefficient=rate,
         std_error=error,
         interval=(rate - half, rate + half),

@@ -1,8 +1,8 @@
 """Free simulation of data held out: the part of a misfit that a term explains there.
 
 An autoregressive noise model takes a slow, deterministic misfit for noise, so that a term which halves the error of a
-simulation may gain little likelihood, and a trifle may gain much. The error of the simulation itself, with nothing but
-initial states and biases estimated, does not depend on any noise model.
+simulation may gain little likelihood, and a negligible one may gain much. The error of the simulation itself, with
+nothing but initial states and biases estimated, does not depend on any noise model.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ _LIKE = 0.7
 # Other laws that are fitted.
 _TRIED = 4
 # Iterations of each: a friction that jumps takes three times those of a smooth law. And seconds, or times of the base
-# fit: what takes longer wanders off, for another law that stands is near.
+# fit: what takes longer diverges, since another law that is kept is near.
 _ITERATIONS, _SECONDS, _TIMES = 150, 2.0, 10.0
 
 
@@ -405,8 +405,8 @@ def _refitted(base: FitResult, without: Refit, of: Disturbance) -> tuple[Refit, 
     if best is None:
         return None
     for _ in range(_ROUNDS):
-        # About this fit: what it has already, and what is still missing. Noise that wanders, as the residuals of a fit
-        # that is far off do, would hide most of that: where it leaves nothing, white noise shows it.
+        # About this fit: what it has already, and what is still missing. Noise like a random walk, as the residuals of
+        # a fit that is far off are, would hide most of that: where it leaves nothing, white noise shows it.
         known = factor(best) * values
         missing = (likeliest_function(best, of.place, of.variables, white) for white in (False, True))
         steps = (m.marginal_on(of.axes).coefficients for m in missing if m is not None)

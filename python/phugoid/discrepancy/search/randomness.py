@@ -26,7 +26,7 @@ _Array = NDArray[np.float64]
 _NEIGHBOURS, _PASS = 5, 0.04
 # What is slow correlates with what is slow by chance: the history later or earlier, so many times, as a share of the
 # record; the quantile of its correlations that is to be exceeded; and a correlation that is none by chance (where the
-# motion is periodic, a history that goes with it does so with any phase).
+# motion is periodic, a history that is correlated with it is so with any phase).
 _SHIFTS, _CHANCE, _SURELY = 40, 0.95, 0.7
 # Of so few correlation times, as a history has in its records, chance is no excuse: it may be anything slow.
 _INDEPENDENT = 20.0

@@ -1,4 +1,4 @@
-"""Parameters and offsets that differ from record to record: another mass, another trim, a sensor set up anew.
+"""Parameters and offsets that differ from record to record: another mass, another trim, a sensor that was readjusted.
 
 A model with one value for all records takes such a difference for a disturbance. Each parameter, a constant in each
 equation and output, and the scale of each output are tried with a value for each record, beside the terms that a search
@@ -259,8 +259,8 @@ def _ranked(linear: Linearised, options: Sequence[_Difference]) -> list[_Differe
         basis = np.linalg.svd(same, full_matrices=False)[0]
         left = columns - basis @ (basis.T @ columns)
         u, sizes, _ = np.linalg.svd(left, full_matrices=False)
-        told = u[:, sizes > _NOTHING * max(float(np.linalg.norm(columns)), 1e-300)]
-        gain = float(np.sum((told.T @ residuals) ** 2)) if told.shape[1] else 0.0
+        seen = u[:, sizes > _NOTHING * max(float(np.linalg.norm(columns)), 1e-300)]
+        gain = float(np.sum((seen.T @ residuals) ** 2)) if seen.shape[1] else 0.0
         predicted = _predicted(blocks_of(linear), same, columns, residuals) if gain else 0.0
         gains.append(gain if predicted > _PREDICTED else 0.0)
     order = np.argsort(gains)[::-1]
@@ -271,16 +271,16 @@ def _predicted(block: NDArray[np.intp], same: _Array, each: _Array, residuals: _
     """Return the part of what columns explain of blocks, each fitted for itself, that is explained with the
     coefficients from the other blocks; all else is as it fits a block best. Noise that no columns explain does not
     count."""
-    own_gain, told_gain, n = 0.0, 0.0, same.shape[1]
+    own_gain, predicted_gain, n = 0.0, 0.0, same.shape[1]
     for b in range(BLOCKS):
         inside = block == b
         both = np.hstack([same, each])
-        told = np.linalg.lstsq(both[~inside], residuals[~inside], rcond=_RANK)[0][n:]
+        coefficients = np.linalg.lstsq(both[~inside], residuals[~inside], rcond=_RANK)[0][n:]
         r = residuals[inside]
         before = _left(same[inside], r)
         own_gain += before - _left(both[inside], r)
-        told_gain += before - _left(same[inside], r - each[inside] @ told)
-    return told_gain / max(own_gain, 1e-300)
+        predicted_gain += before - _left(same[inside], r - each[inside] @ coefficients)
+    return predicted_gain / max(own_gain, 1e-300)
 
 
 def _left(columns: _Array, r: _Array) -> float:

@@ -49,7 +49,7 @@ _MARGIN = 8.0
 # Filters that take noise away and leave steps and doublets of the pilot, in samples: running medians, and means whose
 # weights fall with the distance in time and, within a part of the noise, in the filtered value.
 _MEDIANS, _MEANS = (5, 11), (8, 20, 60)
-# Widths of plain means, in samples, for an input that wanders.
+# Widths of plain means, in samples, for an input that is a random walk.
 _SMOOTH = (1.5, 3.0)
 _FIRST, _ALIKE = 5, 1.5
 # Part of the misfit that another clock must explain.
@@ -74,7 +74,8 @@ class RecordedInput:
     explained   what it explains of their misfit in free simulation; without other records, of that of the fit's own.
     noise       RMS of the noise, in the input's unit; 0 for the other kinds.
     clock       that by which channels were recorded; None for the other kinds.
-    rivals      others that the data do not distinguish from it, as a late output and an early input: cause -> gain.
+    alternatives      others that the data do not distinguish from it, as a late output and an early input: cause ->
+                      gain.
     """
 
     name: str
@@ -86,7 +87,7 @@ class RecordedInput:
     explained: Explained | None
     noise: float = 0.0
     clock: Clock | None = None
-    rivals: Mapping[str, float] = field(default_factory=dict)
+    alternatives: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def cause(self) -> str:
@@ -152,8 +153,8 @@ def _by_another_clock(
         if confirmed is not None and confirmed.explained is not None and confirmed.explained.part > _MOST_OF_IT:
             found.append(confirmed)
     first = max(found, key=lambda one: one.gain, default=None)
-    rivals = {o.cause: o.gain for o in found if o is not first and first and o.gain > first.gain - _ALIKE_GAIN}
-    return replace(first, rivals=rivals) if first else None
+    alternatives = {o.cause: o.gain for o in found if o is not first and first and o.gain > first.gain - _ALIKE_GAIN}
+    return replace(first, alternatives=alternatives) if first else None
 
 
 def _explaining(one: RecordedInput, base: Refit) -> RecordedInput | None:
@@ -170,7 +171,7 @@ def _counts(explained: Explained) -> bool:
 
 
 def _confirmed(one: RecordedInput, before: Linearised, base: Refit, free: Sequence[str] | None) -> RecordedInput | None:
-    """Return what data held out say of it; None where they speak against it."""
+    """Return the input with its gain on held-out data; None where they contradict it."""
     name, kind = one.name, one.kind
     if kind == "noise":
         other = _without_noise(Whitened(before, base.own.filter.on(before.structure)), name)
@@ -240,7 +241,7 @@ def _median(u: _Array, size: int) -> _Array:
 
 
 def _smooth(u: _Array, width: float) -> _Array:
-    """Filter by means with the weights of a normal density: of what wanders there are no steps to keep."""
+    """Filter by means with the weights of a normal density: a random walk has no steps to keep."""
     reach = int(np.ceil(4.0 * width))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
     return np.convolve(np.pad(u, reach, mode="edge"), weights / weights.sum(), mode="valid")

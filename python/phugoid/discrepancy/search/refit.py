@@ -52,7 +52,7 @@ _SECONDS, _TIMES = 30.0, 20.0
 _ELSEWHERE, _FAR = 10.0, 3.0
 # Delays are found to this part of their standard errors: to first order in what is left the rest is allowed for.
 _SETTLED = 0.03
-# Within so many passes, for the scan knows them well: what goes on then wanders off, or back and forth over a kink.
+# Within so many passes, since the scan gives good start values: iterations beyond diverge, or alternate over a kink.
 _PASSES = 8
 
 

@@ -259,7 +259,7 @@ class RefitCache:
         # About a path that has little to do with the measured one a refit may end where the base did.
         lost = self._unexplained and (best is None or _unexplained(best.fit, self._unexplained))
         jumping = left > _LARGE and any(c.begins_measured and c.shape_names[0] not in known for c in candidates)
-        # What the path of the fit speaks against may fit the measured one.
+        # A candidate that contradicts the path of the fit may fit the measured one.
         ended_nowhere = best is None and bool(candidates) and candidates[-1].name in much
         if lost or jumping or ended_nowhere:
             # What is proposed is proposed about the measured motion.

@@ -33,7 +33,7 @@ from .other_laws import UnknownFunction, formula, terms_of, unknown_function
 from .process_noise import FilterErrorRefit, filtered, filtered_elsewhere, single_event
 from .randomness import goes_with_motion, in_a_tenth, parts_predicted, past_inputs, products_of_motion
 from .refit import Refit, fitted_to, is_structured
-from .ringing import wandering
+from .ringing import random_walk_gain
 
 __all__ = ["Remainder", "RemainderSettings", "remainder_of"]
 
@@ -90,9 +90,9 @@ class Remainder:
     at           the refit beside whose terms it is.
     gain         in log-likelihood over coloured noise of the sensors.
     held_out     the same on data held out; NaN where there are none, or none that excite it.
-    rivals       others of its kind that the data do not distinguish from it: name -> gain.
+    alternatives       others of its kind that the data do not distinguish from it: name -> gain.
     filtered     the fit by the filter-error method.
-    moves        whether the time history, or its size, goes with the motion, as an unknown function of several
+    moves        whether the time history, or its size, is correlated with the motion, as an unknown function of several
                  variables does.
     bursts       whether nearly all of the time history happens in a small part of the time.
     oscillates   whether most of it is in few of its independent components, as it is in a narrow band of frequencies.
@@ -105,7 +105,7 @@ class Remainder:
     at: Refit
     gain: float
     held_out: float
-    rivals: Mapping[str, float] = field(default_factory=dict)
+    alternatives: Mapping[str, float] = field(default_factory=dict)
     filtered: FilterErrorRefit | None = None
     moves: bool = False
     bursts: bool = False
@@ -165,18 +165,18 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
     function = _function(search, result, options, known, s)
     if function is not None or first is None or first.kind == "function":
         return function
-    # Where data held out speak against the likeliest, those less likely are no better.
+    # Where held-out data contradict the likeliest, those less likely are no better.
     likeliest = _acting(options, s)
     found = _confirmed(search, full, likeliest, options[-1].merit, s)
     if found is None:
         return None
-    rivals = _rivals(likeliest, options, s)
+    alternatives = _alternatives(likeliest, options, s)
     surface = _function_of_two(search, result, found, known, s) if found.moves else None
     if surface is not None:
         return surface
     if found.disturbance.kind == "event":  # whatever kind they were compared as
-        rivals = {f"{name.rpartition(':')[0]}:event": gain for name, gain in rivals.items()}
-    return replace(found, rivals=rivals)
+        alternatives = {f"{name.rpartition(':')[0]}:event": gain for name, gain in alternatives.items()}
+    return replace(found, alternatives=alternatives)
 
 
 def _event_alone(search: Search, base: Refit, known: Disturbances, s: RemainderSettings) -> Remainder | None:
@@ -211,12 +211,12 @@ def _acting(options: Sequence[_Option], s: RemainderSettings) -> _Option:
     assert first.disturbance is not None
     if first.disturbance.kind not in ("noise", "event") or first.disturbance.place.kind != "input":
         return first
-    alike = _rivals(first, options, s)
+    alike = _alternatives(first, options, s)
     others = [o for o in options if o.disturbance is not None and o.disturbance.name in alike]
     return next((o for o in others if o.disturbance and o.disturbance.place.kind in _EQUATIONS), first)
 
 
-def _rivals(of: _Option, options: Sequence[_Option], s: RemainderSettings) -> dict[str, float]:
+def _alternatives(of: _Option, options: Sequence[_Option], s: RemainderSettings) -> dict[str, float]:
     """Other places of the same kind that are about as likely, linearised as all are: name -> gain."""
     assert of.disturbance is not None
     mine, coloured = of.disturbance, options[-1].merit
@@ -283,8 +283,8 @@ def _of_function(found: UnknownFunction, known: Refit | None = None) -> Remainde
 def _function_of_two(
     search: Search, result: SearchResult, of: Remainder, known: Disturbances, s: RemainderSettings
 ) -> Remainder | None:
-    """Return an unknown function of two variables in place of a time history that goes with the motion; None where none
-    simulates data held out better, or is likelier than coloured noise."""
+    """Return an unknown function of two variables in place of a time history that is correlated with the motion; None
+    where none simulates data held out better, or is likelier than coloured noise."""
     at, where = of.at, of.disturbance.place
     equations = sorted((p for p in at.linear.places if p.kind == "equation"), key=lambda p: p.name)
     places = [p for p in equations if p.name in known.known and (where.kind == "input" or p.name == where.name)]
@@ -331,7 +331,7 @@ def _options(at: Refit, known: Disturbances, s: RemainderSettings, white: bool =
 
 
 def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s: RemainderSettings) -> Remainder | None:
-    """Return a hypothesis that data held out do not speak against, and that predicts them better than the terms in
+    """Return a hypothesis that held-out data do not contradict, and that predicts them better than the terms in
     whose place it is; None else."""
     d = option.disturbance
     if d is None:
@@ -356,8 +356,8 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
             return None if _is_wrong_alone(search, option.at, s) else Remainder(event, option.at, gain, held_out)
         if d.kind == "event" and noise is not None and sure:
             d = noise
-    if d.kind == "noise" and gain < wandering(option.at, option.at.linear.model.output_names) + s.alike:
-        return None  # sensors that wander are as likely: behind an integration the two are alike
+    if d.kind == "noise" and gain < random_walk_gain(option.at, option.at.linear.model.output_names) + s.alike:
+        return None  # random walks of sensors are as likely: behind an integration the two are alike
     if d.kind == "noise" and other is not None:
         held_out = _held_out(search, option, d, other, s)
         if held_out <= 0.0:
@@ -378,7 +378,7 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
 
 
 def _moves(linear: Linearised, d: Disturbance, s: RemainderSettings) -> bool:
-    """Return whether a time history, or its size, goes with the motion or the inputs."""
+    """Return whether a time history, or its size, is correlated with the motion or the inputs."""
     if goes_with_motion(linear, d) > s.motion:
         return True
     size = d.values**2 - np.mean(d.values**2)
@@ -410,7 +410,7 @@ def _held_out(search: Search, option: _Option, d: Disturbance, other: Linearised
     """Return the gain in log-likelihood on data held out over coloured noise.
 
     A fit that knows of no disturbance has biased parameters, which no disturbance mends on other data. With the fit by
-    the filter-error method its own are used there. Else, or where it fails there, and where the biases speak against
+    the filter-error method its own are used there. Else, or where it fails there, and where the biases contradict
     the disturbance, both hypotheses are compared with parameters that are re-estimated from the other data: what is
     held out then is what the hypotheses are about, the variances and the colour of the noise.
     """

@@ -139,8 +139,8 @@ def _ended(
     return found
 
 
-# Log-likelihood that a term must gain over a fit without an optimum, so many of which are told.
-_MUCH, _TOLD = 20.0, 3
+# Log-likelihood that a term must gain over a fit without an optimum, and how many of them are reported.
+_MUCH, _REPORTED = 20.0, 3
 
 
 def with_optimum(fit: FitResult, candidates: Sequence[Candidate]) -> list[Refit]:
@@ -154,4 +154,4 @@ def with_optimum(fit: FitResult, candidates: Sequence[Candidate]) -> list[Refit]
         again = refit(fit, [c], {}, fit, measured=True)
         if again is not None and again.fit.log_likelihood > fit.log_likelihood + _MUCH:
             found.append(again)
-    return sorted(found, key=lambda r: -r.fit.log_likelihood)[:_TOLD]
+    return sorted(found, key=lambda r: -r.fit.log_likelihood)[:_REPORTED]

@@ -1,4 +1,4 @@
-"""Residuals that ring at a lightly damped mode of the model, and noise that does not; sensors that wander, beside
+"""Residuals that ring at a lightly damped mode of the model, and noise that does not; random walks of sensors, beside
 which a drift must be the likelier cause.
 
 A term that the model lacks drives the vehicle, which answers at its modes. Where one is lightly damped the residual
@@ -40,8 +40,8 @@ __all__ = [
     "Ringing",
     "is_near",
     "light_modes",
+    "random_walk_gain",
     "ringing_of",
-    "wandering",
 ]
 
 _Array = NDArray[np.float64]
@@ -151,7 +151,7 @@ def _predicting(a: _Array) -> Autoregression:
 _KNOTS = 100
 
 
-def wandering(at: Refit, outputs: Sequence[str]) -> float:
+def random_walk_gain(at: Refit, outputs: Sequence[str]) -> float:
     """Return by how much the log-likelihood of a refit's residuals, less the number of its parameters, rises where the
     noise of outputs is a random walk with white noise on it in place of an autoregression; of those where it does."""
     filter = at.own.filter

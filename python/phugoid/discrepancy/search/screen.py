@@ -47,8 +47,8 @@ _MODEL_ERROR, _SIMILAR = 0.2, 0.8
 # Log-likelihood by which two refits differ that are one and the same but for rounding.
 _SAME = 1.0
 # A term that explains most of a misfit leaves an error of the model that is small beside it: others that explain this
-# part of what it does are as good, unless they leave several times what it leaves, and more than a trifle.
-_MOST, _AS_MUCH, _LEAVES, _TRIFLE = 0.5, 0.95, 3.0, 0.01
+# part of what it does are as good, unless they leave several times what it leaves, and more than a negligible part.
+_MOST, _AS_MUCH, _LEAVES, _NEGLIGIBLE = 0.5, 0.95, 3.0, 0.01
 # Functions of one variable that are fitted in place of another one.
 _FUNCTIONS = 8
 # Singular values of changes of several parameters, in parts of the largest, below which they are the same.
@@ -75,7 +75,7 @@ def plausibility(candidate: Candidate, model: Model) -> tuple[int, int, str]:
     lever = lever and not is_late(candidate, model)
     order = 0 if lever else {"quantity": 1, "equation": 1, "parameter": 1, "input": 2}.get(place.kind, 3)
     if lever and model.units.get(place.name, "") not in ("", *ANGLES) and family == "linear":
-        order = 3  # of a rate no lever arm gives a part that goes with a rate
+        order = 3  # no lever arm gives the measurement of a rate a part in proportion to a rate
     if family == "factor":
         order = 4  # all that stands there would be wrong by the same factor
     if not candidate.transferable:
@@ -122,7 +122,7 @@ def is_as_good(best: Refit, other: Refit, gain: float, parts: tuple[float, float
         if before > 0.0 and after > 0.0:
             statistic += mine.size * worth[-1] * float(np.log(after / before))
     if max(worth) < _MODEL_ERROR and parts[0] > _MOST:
-        left = max(_LEAVES * (1.0 - parts[0]), _TRIFLE)
+        left = max(_LEAVES * (1.0 - parts[0]), _NEGLIGIBLE)
         return parts[1] > _AS_MUCH * parts[0] and 1.0 - parts[1] < left
     return statistic < _EQUAL and gain > _SIMILAR
 
@@ -140,7 +140,7 @@ class ScreenSettings:
                         power to first order, or more, whatever coloured noise makes of them.
     hopeless            what is this far below its threshold, by the filter of the fit and by the clean one, is not
                         refitted.
-    evident             part of the residuals' power that is predictable from which on what does much is sought: a
+    evident             part of the residuals' power that is predictable from which on large effects are searched for: a
                         parameter that jumps, which no other record confirms; and, of what acts alike to first order,
                         terms at other places and other functions of a variable.
     same                two effects on the outputs are the same beyond this cosine: one stands for both.
@@ -190,7 +190,7 @@ class Screen:
                 names[candidate.name] = candidate
                 self._cache.remember(candidate, shape, statistics["base"].amplitudes[i])
         if self._is_evident:
-            for c in self._untold(scan, statistics["clean"], at.names):
+            for c in self._beyond_first_order(scan, statistics["clean"], at.names):
                 names[c.name] = c
             jump = self._common_jump(scan, statistics["clean"])
             if jump is not None and jump.name not in at.names:
@@ -208,7 +208,7 @@ class Screen:
                 self._cache.start_as_proposed(c.name)
         return list(names.values())
 
-    def _untold(self, scan: Scan, statistics: Statistics, names: Collection[str]) -> list[Candidate]:
+    def _beyond_first_order(self, scan: Scan, statistics: Statistics, names: Collection[str]) -> list[Candidate]:
         """Return limits of stores, and friction that is larger at rest beside that of the model, whatever they gain to
         first order: in a fit that does not know of them a state goes far beyond its limit, or never rests, so that it
         says little."""
@@ -273,7 +273,7 @@ class Screen:
         found = {c.name: c for c, _ in self._cache.scan(at).effects if c.transferable and complexity(c) <= 1}
         return list(found.values())
 
-    def rivals(self, at: Refit, candidate: Candidate, filter: Filter, best: int, alike: int) -> list[Candidate]:
+    def alternatives(self, at: Refit, candidate: Candidate, filter: Filter, best: int, alike: int) -> list[Candidate]:
         """Return candidates that may stand in a candidate's place beside those of ``at``: ``best`` through a filter,
         and ``alike`` whose effect is nearly the same, with as many again that act in the path of an input; where the
         misfit is evident, other functions of the same variable."""

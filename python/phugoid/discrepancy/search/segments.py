@@ -131,7 +131,7 @@ def fitted_to_segments(base: Refit, most: int = _SHORT) -> tuple[Refit | None, i
     if own or fit.model.end_conditions or count < 2 * len(records):
         return None, 0
     length = -(-samples // count)
-    # The path is begun anew: that of the fit is the one that drifts.
+    # The path is initialised again: that of the fit is the one that drifts.
     pieces = [piece for e in records for piece in _cut(e, length)]
     return fitted_to(Refit((), fit), pieces, start=values_of(fit), solver=None), length
 
@@ -155,8 +155,9 @@ _BIAS = 0.1
 # Power of the residuals at a frequency that is lost, over that about the highest which is left: of white noise it is 1,
 # and a mode of the vehicle stands out. The spectrum is averaged over so many segments.
 _PEAK, _AVERAGED = 4.0, 8
-# Part of an input's range by which a sample may be off the straight line through its neighbours: else it bends there.
-_BEND = 0.01
+# Part of an input's range by which a sample may be off the straight line through its neighbours: else it has a corner
+# there.
+_CORNER = 0.01
 # Part of the samples of an output that may be missing.
 _MISSING = 0.02
 
@@ -239,12 +240,12 @@ def _middles(y: _Array, k: int) -> _Array:
     return y[k // 2 : y.size // k * k : k]
 
 
-def _bends(e: Experiment) -> NDArray[np.bool_]:
-    """Mark the samples (N,) at which an input bends or jumps."""
+def _corners(e: Experiment) -> NDArray[np.bool_]:
+    """Mark the samples (N,) at which an input has a corner or jumps."""
     found = np.zeros(e.n, dtype=bool)
     for u in e.inputs.values():
         off = np.abs(u[1:-1] - 0.5 * (u[:-2] + u[2:]))
-        found[1:-1] |= off > _BEND * max(float(np.ptp(u)), 1e-300)
+        found[1:-1] |= off > _CORNER * max(float(np.ptp(u)), 1e-300)
     return found
 
 
@@ -258,7 +259,7 @@ def _is_slow(base: Refit, data: Sequence[Experiment], k: int) -> bool:
         for record, e in zip(base.fit.records, data, strict=True):
             y = np.interp(e.t, record.t, record.outputs[name])
             own = _means(y, k) - _middles(y, k)
-            off.append(own[_means(_bends(e).astype(float), k) == 0.0])
+            off.append(own[_means(_corners(e).astype(float), k) == 0.0])
         every = np.concatenate(off)
         if not every.size or float(np.mean(every**2)) * k > _BIAS**2 * channel.power:
             return False
@@ -283,14 +284,14 @@ def _is_empty_above(base: Refit, k: int) -> bool:
 
 def _thin(e: Experiment, k: int) -> Experiment:
     """Return a record of means over k samples at their middles. The first and the last time stay, without outputs, so
-    that states there are what they were; and so do times at which an input bends, within the mesh."""
-    bends = _bends(e)
+    that states there are what they were; and so do times at which an input has a corner, within the mesh."""
+    corners = _corners(e)
     middles = _middles(e.t, k)
     t = np.concatenate([e.t[:1], middles, e.t[-1:]])
-    # Many bends are noise of the record, which has a mean as the outputs have.
-    noisy = bends.sum() > middles.size
+    # Many corners are noise of the record, which has a mean as the outputs have.
+    noisy = corners.sum() > middles.size
     # Where an input jumps the outputs may, too, and a mean says nothing of the middle.
-    clear = np.full(middles.size, True) if noisy else _means(bends.astype(float), k) == 0.0
+    clear = np.full(middles.size, True) if noisy else _means(corners.astype(float), k) == 0.0
     outputs = {}
     for name, y in e.outputs.items():
         # Rounded samples stay so: rounding is no noise, and means would hide it.
@@ -308,6 +309,6 @@ def _thin(e: Experiment, k: int) -> Experiment:
         else:
             inputs[name] = np.concatenate([u[:1], _middles(u, k), u[-1:]])
             signals[name] = e.t, u, 0.0, 0
-    mesh = t if noisy else np.unique(np.concatenate([t, e.t[bends]]))
+    mesh = t if noisy else np.unique(np.concatenate([t, e.t[corners]]))
     found = Experiment(t, inputs, outputs, name=e.name, interpolation=e.interpolation, units=e.units)
     return found._sampled(signals, mesh)

@@ -99,9 +99,9 @@ def sensor_faults(fit: FitResult) -> tuple[list[SensorFault], FitResult]:
         raise KeyboardInterrupt
     if mended.status not in ENDED_WELL:
         return [], fit
-    told = [replace(f, part=_part(fit, mended, f.name)) for f in found]
-    told = [f for f in told if f.part > _LITTLE]
-    return (told, mended) if told else ([], fit)
+    reported = [replace(f, part=_part(fit, mended, f.name)) for f in found]
+    reported = [f for f in reported if f.part > _LITTLE]
+    return (reported, mended) if reported else ([], fit)
 
 
 def without_faults(data: Sequence[Experiment], faults: Sequence[SensorFault]) -> list[Experiment]:
@@ -221,7 +221,8 @@ class UnsignedSensor:
 def unsigned_sensor(fit: FitResult) -> UnsignedSensor | None:
     """Return the output whose values can only be the size of what the model has for it; None where there is none.
 
-    A model that is far from such a record says nothing of its motion: the estimation begins anew, where the model does.
+    A model that is far from such a record says nothing of its motion: the estimation restarts from the model's start
+    values.
     """
     data, model = dataset(fit), fit.model
     for name in model.output_names:

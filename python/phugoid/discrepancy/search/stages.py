@@ -1,7 +1,7 @@
 """Stages of a diagnosis: faults of the data, terms of the model, and the remaining misfit.
 
-Each stage takes what is known so far and returns what is known after it; a fault that is found in the data has all
-that follows sought as if the data were so.
+Each stage takes what is known so far and returns what is known after it; after a fault that is found in the data,
+all that follows searches the corrected data.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ __all__ = [
 
 
 # What an actuator may do to an input that looks like each.
-_RIVALS = {
+_ALTERNATIVES = {
     "hold": ("delay", "lag"),
     "cubic": ("delay", "lag"),
     "noise": ("deadband", "backlash", "saturation", "lag", "delay"),
@@ -180,7 +180,7 @@ def _proposed(listed: Callable[[Refit], Sequence[Candidate]], state: Inquiry) ->
 
 
 def _with_recorded_inputs(state: Inquiry) -> Inquiry:
-    """Have all else sought with inputs as they act, one after the other."""
+    """Search with the inputs as they act, one after the other."""
     following = state
     while True:
         state = following
@@ -208,15 +208,15 @@ def _recorded_input(search: Search) -> RecordedInput | None:
         return None
     likely = search.screen.shortlist(cache.base)
     inputs = found.clock.names if found.clock is not None else (found.name,)
-    names = {f"{name}:{rival}" for name in inputs for rival in _RIVALS[found.kind]}
+    names = {f"{name}:{alternative}" for name in inputs for alternative in _ALTERNATIVES[found.kind]}
     if found.kind != "noise":
         # Half a sample of the input is a delay of all outputs; of one of them it need not be the input's.
         names |= {f"{y}:delay" for y in cache.base.fit.model.output_names}
-    else:  # an input of another size leaves residuals that go with it, and noise of a record takes its size away
+    else:  # an input of another size leaves residuals in proportion to it, and noise of a record takes its size away
         names |= {c.name for c in likely if c.transferable}
     late = [c for c in cache.candidates if c.name in names]
-    rivals = [r for r in cache.refits([[c] for c in late if cache.has_start(c.name)]) if r is not None]
-    best = max((r.merit - len(r.candidates[0].parameters) for r in rivals), default=-np.inf)
+    alternatives = [r for r in cache.refits([[c] for c in late if cache.has_start(c.name)]) if r is not None]
+    best = max((r.merit - len(r.candidates[0].parameters) for r in alternatives), default=-np.inf)
     # Where the record has noise, a dead band takes away what of it is seen most: it must do more than that.
     needed = found.gain * (_BEYOND if found.kind == "noise" else 1.0)
     return found if best < cache.base.merit + needed else None

@@ -240,7 +240,7 @@ def _with_held_out(search: Search, at: Refit) -> Refit | None:
 
 def _has_changed(before: Refit, after: Refit, candidate: Candidate, s: SurrogateSettings) -> bool:
     """Return whether a parameter of a candidate differs between two fits by more than its standard error allows, and by
-    so much that the square of its effect tells."""
+    so much that the square of its effect matters."""
     known, change = after.fit.parameters, math.sqrt(s.more)
     values = {n: each for n, each in before.parameters(candidate).items() if n in known}
     return any(abs(known[n].value - v) > max(s.deviation * e, change * abs(v)) for n, (v, e) in values.items())

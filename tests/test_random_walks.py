@@ -11,7 +11,7 @@ import phugoid as ph
 from phugoid.discrepancy.search import Search
 from phugoid.discrepancy.search.randomness import in_a_tenth
 from phugoid.discrepancy.search.refit import Refit, refit
-from phugoid.discrepancy.search.ringing import wandering
+from phugoid.discrepancy.search.ringing import random_walk_gain
 from phugoid.sensitivities.tangents import collocated
 
 
@@ -25,25 +25,25 @@ def with_drift(model: ph.Model, data: ph.Experiment, cause: str) -> tuple[Refit,
 
 
 @pytest.mark.parametrize("strength", ["weak", "strong"])
-def test_a_drift_is_likelier_than_a_walk_and_leaves_none(strength: str) -> None:
+def test_a_drift_is_likelier_than_a_random_walk_and_leaves_none(strength: str) -> None:
     case = make("servo", "rate:drift", strength, "white", 7)
     base, more = with_drift(case.model, case.data, "rate:drift")
-    assert more.own.lenient_merit - base.own.lenient_merit > wandering(base, ["rate"]) > 0.0
-    assert wandering(more, ["rate"]) == 0.0
+    assert more.own.lenient_merit - base.own.lenient_merit > random_walk_gain(base, ["rate"]) > 0.0
+    assert random_walk_gain(more, ["rate"]) == 0.0
 
 
 @pytest.mark.parametrize(("seed", "output"), [(942, "theta"), (947, "q")])
-def test_beside_a_drift_that_is_a_walk_a_walk_is_left(seed: int, output: str) -> None:
+def test_a_drift_that_is_a_random_walk_leaves_one(seed: int, output: str) -> None:
     """These were named as drifts: they gain much by autoregressive noise, and other data confirmed them by chance."""
     s = situation("random walk", "uav", seed)
     base, more = with_drift(s.model, s.data, f"{output}:drift")
-    gain, left = more.own.lenient_merit - base.own.lenient_merit, wandering(more, [output])
+    gain, left = more.own.lenient_merit - base.own.lenient_merit, random_walk_gain(more, [output])
     assert gain > 10.0 and left > 1.0
-    assert gain + left - wandering(base, [output]) < 8.0
+    assert gain + left - random_walk_gain(base, [output]) < 8.0
 
 
 @pytest.mark.parametrize("tone", [True, False])
-def test_a_slow_tone_is_told_from_a_walk(tone: bool) -> None:
+def test_a_slow_tone_is_distinguished_from_a_random_walk(tone: bool) -> None:
     """The walk was named as a tone: it swings slowly by chance."""
     s = make("servo", "torque:periodic", "medium", "white", 7) if tone else situation("random walk", "servo", 6102)
     base = Refit((), collocated(ph.estimate(s.model, s.data)))
@@ -53,13 +53,13 @@ def test_a_slow_tone_is_told_from_a_walk(tone: bool) -> None:
     (candidate,) = search.cache.candidates
     more = search.cache.refit([candidate])
     assert more is not None and search.assessment.gain(base, more) > 20.0
-    assert search.assessment.wanders(base, more, candidate) != tone
+    assert search.assessment.is_random_walk(base, more, candidate) != tone
 
 
-def test_white_noise_does_not_wander() -> None:
+def test_white_noise_is_no_random_walk() -> None:
     s = situation("white", "duffing", 3)
     base = Refit((), collocated(ph.estimate(s.model, s.data)))
-    assert wandering(base, s.model.output_names) < 1.0
+    assert random_walk_gain(base, s.model.output_names) < 1.0
 
 
 def test_bursts_are_told_from_normal_values() -> None:

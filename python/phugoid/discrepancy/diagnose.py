@@ -128,34 +128,21 @@ def diagnose(
         none: list[Refit] = []
         likelier = _within(deadline, partial(_with_optimum, records.fit, candidates), none)
         return no_optimum(records.given, records.restart.words, likelier, time.perf_counter() - started)
-    listed = candidates_given(records.fit, candidates, records.base)
-    unfitted = ""
     with _shown(progress) as watch, one_blas_thread():
 
         def step(text: str) -> None:
             check_time()
             watch(text)
 
-        search = Search(records.base, listed, records.others, step, free)
-        try:
-            with deadline.in_force():
-                search.cache.try_validation()
-        except DataError as error:
-            unfitted = f"{str(error).removeprefix('diagnose: ')}: it is left out."
-            free = None
-            search = Search(records.base, listed, (), step, free)
-        except KeyboardInterrupt:
-            pass  # it is noticed again below
-        with deadline.in_force():
-            differ = records.segments is None and not (records.parts is not None and records.parts.several)
-            about = partial(candidates_given, records.fit, candidates)
-            state = Inquiry.begun(search).after(stages(about, differ))
+        found = _searched(records, candidates, free, step, deadline)
+        again = _within(deadline, partial(_over_segments, found, step), None) if found.is_open else None
+        if again is not None:
+            other = _searched(again, candidates, free, step, deadline)
+            found = found if other.is_open else other
+        records, state = found.records, found.state
         reported = _reported(records, state, deadline)
     with interrupts():
-        notes = (
-            *_notes_of_shared_terms(fit.model, declared),
-            *_all_notes(records, state, reported, listed, free, unfitted),
-        )
+        notes = (*_notes_of_shared_terms(fit.model, declared), *_all_notes(found, reported))
         # An input that is held is a finding; one that was sampled slowly is none, nor what comes of it.
         corrected = state.sampled is not None or any(b.kind == "cubic" for b in state.inputs)
         whole = records.parts.whole.fit if records.parts is not None else records.fit
@@ -236,6 +223,67 @@ def _prepared(fit: FitResult, others: Sequence[Experiment], deadline: Deadline) 
     # That of a fit as it was given is the user's own, on its own mesh.
     own = fit if not again and thin is None and parts is None and segments is None else base.fit
     return replace(records, fit=own, base=base, others=others, thin=thin, parts=parts, segments=segments)
+
+
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """Hold a search of records: the candidates that were ``listed``, what is ``free`` on the validation data, why these
+    are ``unfitted`` ("" where they are not), and the ``state`` at its end."""
+
+    records: _Records
+    listed: Sequence[Candidate]
+    free: Sequence[str] | None
+    unfitted: str
+    state: Inquiry
+
+    @property
+    def is_open(self) -> bool:
+        """Return whether the search came to its end and nothing is named, nor is a disturbance or a function."""
+        state, rest = self.state, self.state.remainder
+        named = state.result.final.candidates or state.inputs or state.changes
+        described = rest is not None and (rest.fitted is not None or not rest.is_unknown)
+        return not (state.interrupted or named or described)
+
+
+def _searched(
+    records: _Records,
+    candidates: Any,
+    free: Sequence[str] | None,
+    step: Callable[[str], None],
+    deadline: Deadline,
+) -> _Searched:
+    """Return what the stages of a diagnosis find in records."""
+    assert records.base is not None
+    listed = candidates_given(records.fit, candidates, records.base)
+    unfitted = ""
+    search = Search(records.base, listed, records.others, step, free)
+    try:
+        with deadline.in_force():
+            search.cache.try_validation()
+    except DataError as error:
+        unfitted = f"{str(error).removeprefix('diagnose: ')}: it is left out."
+        free = None
+        search = Search(records.base, listed, (), step, free)
+    except KeyboardInterrupt:
+        pass  # it is noticed again below
+    with deadline.in_force():
+        differ = records.segments is None and not (records.parts is not None and records.parts.several)
+        about = partial(candidates_given, records.fit, candidates)
+        state = Inquiry.begun(search).after(stages(about, differ))
+    return _Searched(records, listed, free, unfitted, state)
+
+
+def _over_segments(found: _Searched, step: Callable[[str], None]) -> _Records | None:
+    """Return the records of a search that named nothing in segments, where the model drifts away from the whole; None
+    where it does not."""
+    records = found.records
+    if records.base is None or records.segments is not None:
+        return None
+    step("estimating from segments of the records")
+    pieces = segments_of(records.base, records.others, farthest=True)
+    if pieces is None:
+        return None
+    return replace(records, fit=pieces.base.fit, base=pieces.base, others=pieces.validation, segments=pieces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,15 +401,9 @@ def _with_optimum(fit: FitResult, candidates: Any) -> list[Refit]:
         return []
 
 
-def _all_notes(
-    records: _Records,
-    state: Inquiry,
-    reported: _Reported,
-    listed: Sequence[Candidate],
-    free: Sequence[str] | None,
-    unfitted: str,
-) -> tuple[str, ...]:
+def _all_notes(found: _Searched, reported: _Reported) -> tuple[str, ...]:
     """Return the notes: on the records, on the search, and on what it found."""
+    records, state, unfitted = found.records, found.state, found.unfitted
     search, final = state.search, state.result.final
     scan = search.cache.scan(search.cache.base) if reported.ranking or not reported.ended else None
     alone = [c.name for c in final.candidates if c.name not in reported.kept.names]
@@ -370,7 +412,7 @@ def _all_notes(
     return (
         *([records.restart.words] if records.restart is not None else []),
         *([unfitted] if unfitted else []),
-        *_notes(scan, final, listed, others, free, reported.ended, search.settings.most),
+        *_notes(scan, final, found.listed, others, found.free, reported.ended, search.settings.most),
         *state.result.remarks,
         *reported.laws,
         *([_OF_THESE_RECORDS.format(", ".join(alone))] if alone else []),

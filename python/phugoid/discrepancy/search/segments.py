@@ -49,8 +49,6 @@ _ERROR = 0.5
 # Part of the RMS of every output that is left over segments, where it is the drift that made the rest. A stable
 # system, which forgets its initial states, keeps more.
 _LEFT = 0.25
-# Part of what is left over segments that is in one of them, from which on it is an event.
-_ONE = 0.75
 
 
 @dataclass(frozen=True)
@@ -77,37 +75,27 @@ class Segments:
         )
 
 
-def segments_of(base: Refit, validation: Sequence[Experiment]) -> Segments | None:
+def segments_of(base: Refit, validation: Sequence[Experiment], farthest: bool = False) -> Segments | None:
     """Return the records of a fit in segments, where the model is far from the records as a whole and much nearer to
-    segments of them; None else, and where initial states or parameters belong to a whole record."""
+    segments of them in all outputs, or, with ``farthest``, in the output that it is farthest from; None else, and where
+    initial states or parameters belong to a whole record."""
     found, length = fitted_to_segments(base, _COUNT) if is_structured(base, _ERROR) else (None, 0)
     if found is None:
         return None
-    return Segments.of(found, length, validation) if _is_nearer(base, found) else None
-
-
-def _is_nearer(base: Refit, pieces: Refit) -> bool:
-    """Return whether over segments the misfit is mostly gone in the output that the fit to whole records is farthest
-    from, and all together are likelier. In others it may stay: parameters that follow a path that drifts hide what is
-    missing in an acceleration, say."""
     names = base.fit.model.output_names
-    before, after = (np.array([mean_square(r.fit, n) for n in names]) for r in (base, pieces))
-    noise = _innovations(pieces)
-    farthest = int(np.argmax(before / _innovations(base)))
-    left = max(after[farthest] - noise[farthest], 0.0) / max(before[farthest] - noise[farthest], 1e-300)
-    return bool(left < _LEFT**2 and np.log(after / before).sum() < 0.0) and not _is_of_one(pieces, noise)
+    before, after = (np.array([mean_square(r.fit, n) for n in names]) for r in (base, found))
+    nearer = _is_nearer(base, before, found, after) if farthest else bool(np.all(after < _LEFT**2 * before))
+    return Segments.of(found, length, validation) if nearer else None
 
 
-def _is_of_one(pieces: Refit, noise: _Array) -> bool:
-    """Return whether nearly all that is left beside noise (n_y,) is in one segment: an event, which moves the rest of a
-    record as well."""
-    names = pieces.fit.model.output_names
-    excess = [
-        sum(float(np.nansum(r.residuals[n] ** 2 / v - 1.0)) for n, v in zip(names, noise, strict=True))
-        for r in pieces.fit.records
-    ]
-    above = np.clip(excess, 0.0, None)
-    return float(above.max()) > _ONE * float(above.sum())
+def _is_nearer(base: Refit, before: _Array, pieces: Refit, after: _Array) -> bool:
+    """Return whether over segments the misfit is mostly gone in the output that the fit to whole records is farthest
+    from, and all together are likelier, by mean squares of the residuals (n_y,). In other outputs it may stay:
+    parameters that follow a path that drifts hide what is missing in an acceleration, say."""
+    noise, known = (_innovations(r) for r in (pieces, base))
+    n = int(np.argmax(before / known))
+    left = max(after[n] - noise[n], 0.0) / max(before[n] - noise[n], 1e-300)
+    return bool(left < _LEFT**2 and np.log(after / before).sum() < 0.0)
 
 
 def _innovations(at: Refit) -> _Array:

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::estimands::{Estimands, ParameterMap};
 use super::samples::Samples;
-use super::separable::{Role, roles};
+use super::separable::{Role, multiplied, roles};
 use crate::error::{Error, ErrorKind};
 use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
@@ -29,6 +29,8 @@ pub struct Posed {
     pub n_model_parameters: usize,
     /// Tell how f, g and the noise depend on each parameter of the model.
     pub(crate) roles: Vec<Role>,
+    /// Pairs of parameters, of which a second derivative of an output is other than 0.
+    pub(crate) multiplied: Vec<(usize, usize)>,
     /// The parameter and the experiment of each variable.
     pub estimands: Estimands,
     /// The noise model.
@@ -156,6 +158,7 @@ impl Posed {
         let roles = roles(&mut graph.clone(), &seen[..n_model], &compiled);
         let (variables, compiled) = in_variables(&mut graph, &seen[..n_model], compiled);
         let theta: Vec<Id> = variables.iter().chain(&noise_symbols).copied().collect();
+        let multiplied = multiplied(&mut graph.clone(), &compiled.outputs, &theta);
         let arguments =
             Arguments { data: compiled.data.clone(), states: compiled.states.clone(), parameters: theta };
         let f =
@@ -188,6 +191,7 @@ impl Posed {
         let posed = Posed {
             n_model_parameters,
             roles,
+            multiplied,
             parameters: parameters.into_iter().collect(),
             estimands,
             noise,

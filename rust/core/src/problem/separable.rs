@@ -1,5 +1,7 @@
 //! Separable least squares: the parameters that the model is linear in, the others given.
 
+use std::collections::BTreeSet;
+
 use super::posed::Posed;
 use crate::expr::graph::{Graph, Id};
 use crate::index::VariableId;
@@ -34,6 +36,16 @@ pub(crate) fn roles(graph: &mut Graph, parameters: &[Parameter], compiled: &Comp
         _ => Role::Other,
     })
     .collect()
+}
+
+/// Returns the pairs of parameters by which a second derivative of some functions is other than 0.
+pub(crate) fn multiplied(graph: &mut Graph, functions: &[Id], parameters: &[Id]) -> Vec<(usize, usize)> {
+    let pairs = functions.iter().flat_map(|&function| {
+        let second = graph.hessian(function, parameters);
+        second.rows.into_iter().zip(second.columns)
+    });
+    let distinct: BTreeSet<(usize, usize)> = pairs.collect();
+    distinct.into_iter().collect()
 }
 
 impl Posed {
@@ -94,12 +106,9 @@ impl Posed {
     fn meets(&self) -> Vec<bool> {
         let (n_x, n) = (self.state_names.len(), self.n_seen());
         let mut meets = vec![false; n * n];
-        for function in [&*self.f, &self.outputs] {
-            let pairs =
-                function.hessian_pattern.iter().map(|(r, c)| (r.wrapping_sub(n_x), c.wrapping_sub(n_x)));
-            for (r, c) in pairs.filter(|&(r, c)| r < n && c < n) {
-                (meets[r * n + c], meets[c * n + r]) = (true, true);
-            }
+        let of_f = self.f.hessian_pattern.iter().map(|(r, c)| (r.wrapping_sub(n_x), c.wrapping_sub(n_x)));
+        for (r, c) in of_f.filter(|&(r, c)| r < n && c < n).chain(self.multiplied.iter().copied()) {
+            (meets[r * n + c], meets[c * n + r]) = (true, true);
         }
         meets
     }

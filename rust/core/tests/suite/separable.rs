@@ -52,6 +52,11 @@ fn it_is_known_which_parameters_a_model_is_not_linear_in() {
     let mut transformed = model(&["a", "b"], &[1.0, 1.0], |p, u| &p[0] * u + &p[1]);
     transformed.parameters[0].transform = Transform::Log;
     assert_eq!(nonlinear(&transformed), ["ln a"]);
+    // In the outputs alone.
+    let mut measured = model(&["a", "b", "c"], &[1.0; 3], |p, u| &p[2] * u);
+    let [a, b] = ["a", "b"].map(Expr::symbol);
+    measured.outputs[0].expr = &a * &measured.outputs[0].expr + (&b * &a).exp();
+    assert_eq!(nonlinear(&measured), ["a", "b"]);
 }
 
 /// u / (u + e) saturates: from a start in the denominator that is much too large or small, a Newton step leads past

@@ -420,8 +420,8 @@ def _advice(r: Remainder) -> str:
         )
     if d.place.kind == "state":
         return (
-            f"It acts in every equation that {d.place.name} is in, as wind does on a vehicle. What can be measured of it "
-            "can be an input of the model. "
+            f"It acts in every equation that {d.place.name} is in, as wind does on a vehicle. What can be measured of "
+            "it can be an input of the model. "
             f"Estimation with transcription=FilterError('{d.place.name}') is an approximation."
         )
     return f"Estimate with transcription=FilterError('{d.place.name}'): it takes such noise into account."

@@ -363,8 +363,11 @@ class Confirmation:
 
     def of_the_rest(self, at: Refit, candidate: Candidate, explained: Explained | None) -> float:
         """Return the part that a term explains of the misfit that the others of a refit leave; NaN where it is alone or
-        explains more of all than a minor finding."""
+        explains more of all than a minor finding, and where all together leave more than noise: then it may represent
+        a part of what is still missing."""
         if len(at.candidates) < 2 or not self._assessment.is_minor(explained):
+            return math.nan
+        if is_structured(at, self._assessment.settings.error):
             return math.nan
         return self._assessment.of_what_is_left(self._without(at, candidate), at)
 

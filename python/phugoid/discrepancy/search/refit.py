@@ -362,11 +362,9 @@ def on_other_data(
     reason = ""
     limit = max(_ELSEWHERE, _TIMES * fit.time)
     for start in starts:
-        # From another model's path, or where only initial states are wrong, few iterations lead to this model's; a
-        # candidate with which the measured one leads nowhere simulates nothing. Only what is diagnosed is worth more.
+        # From another model's path, or where only initial states are wrong, few iterations lead to this model's.
         few = best is not None or start is not starts[-1]
-        iterations = _ITERATIONS if few else Newton.max_iterations if near is None else _PATIENT
-        solver = Newton(max_iterations=iterations, time_limit=limit)
+        solver = Newton(max_iterations=_ITERATIONS, time_limit=limit) if few else Newton(time_limit=limit)
         try:
             found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)
         except EvaluationError as error:  # a root of a level that noise takes below zero, say

@@ -94,7 +94,8 @@ class Finding:
     explained_another    95 % prediction interval of that part on another record of the same kind and length.
     explained_outputs    output -> by how much its mean square falls, in parts of that of the model diagnosed.
     explained_of_the_rest    where ``explained`` is less than 5 %: the part that it explains of the misfit that the
-                   other findings leave; it is named where that is most of it, and more than 0.25 % of all. NaN else.
+                   other findings leave; it is named where that is most of it and more than 0.25 % of all, and
+                   where only noise is left with it. NaN else.
     alternatives_explained   candidate -> part of the misfit that it would explain in place of the cause.
     curve          of a disturbance or an unknown function: what is added to its place, ``"value"``, with standard
                    deviations, ``"error"``, at times (s) or values of the variable, ``"at"``; of a function the number

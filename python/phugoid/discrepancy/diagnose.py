@@ -277,7 +277,8 @@ def _over_segments(found: _Searched, step: Callable[[str], None]) -> _Records | 
     """Return the records of a search that named nothing in segments, where the model drifts away from the whole; None
     where it does not."""
     records = found.records
-    if records.base is None or records.segments is not None:
+    assert records.base is not None  # it was searched
+    if records.segments is not None:
         return None
     step("estimating from segments of the records")
     pieces = segments_of(records.base, records.others, farthest=True)

@@ -126,16 +126,20 @@ def _ratio(explained: Any, misfit: Any) -> Any:
 
 def _bootstrap(sums: _Array, wholes: _Array) -> tuple[float, float]:
     """Return the interval of the part explained by blocks (n_blocks,) drawn with replacement."""
-    drawn = np.random.default_rng(0).integers(sums.size, size=(_DRAWS, sums.size))
+    drawn = _drawn(sums.size)
     tail = 50.0 * (1.0 - _INTERVAL)
     low, high = np.percentile(_ratio(sums[drawn].sum(axis=1), wholes[drawn].sum(axis=1)), [tail, 100.0 - tail])
     return float(low), float(high)
 
 
+def _drawn(blocks: int) -> NDArray[np.intp]:
+    """Return the blocks (n_draws, n_blocks) of each draw of a bootstrap, the same for the same number of them."""
+    return np.asarray(np.random.default_rng(0).integers(blocks, size=(_DRAWS, blocks)))
+
+
 def _worse(sums: _Array) -> NDArray[np.bool_]:
     """Return which outputs of blocks (n_blocks, n_y) become worse beyond chance: (n_y,)."""
-    drawn = np.random.default_rng(0).integers(len(sums), size=(_DRAWS, len(sums)))
-    return np.asarray(np.percentile(sums[drawn].sum(axis=1), 50.0 * (1.0 + _INTERVAL), axis=0) < 0.0)
+    return np.asarray(np.percentile(sums[_drawn(len(sums))].sum(axis=1), 50.0 * (1.0 + _INTERVAL), axis=0) < 0.0)
 
 
 def _of_another_record(part: float, interval: tuple[float, float], sums: _Array, wholes: _Array) -> tuple[float, float]:

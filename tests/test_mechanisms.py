@@ -316,3 +316,33 @@ def test_an_inertia_that_depends_on_the_position_is_named() -> None:
     assert found.cause == "w':scale*th^2"
     assert found.coefficient == pytest.approx(0.5, abs=4.0 * found.std_error)
     assert found.explained > 0.95
+
+
+def _satellite(seed: int, name: str) -> ph.Experiment:
+    """A satellite that wheels turn in pitch, in the gradient of gravity."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 60.0, 0.1)
+    u = _smooth(rng, t, 0.09, (0.013, 0.031, 0.07))
+    x = integrated(
+        lambda x, u: np.array([x[1], 1.2 * u - 0.09 * x[1] - 0.05 * np.sin(2.0 * x[0])]), np.array([0.3, 0.0]), t, u
+    )
+    outputs = {
+        "th": x[:, 0] + 0.004 * rng.standard_normal(t.size),
+        "w": x[:, 1] + 0.002 * rng.standard_normal(t.size),
+    }
+    return ph.Experiment(t, {"u": u}, outputs, name=name, interpolation="hold")
+
+
+def test_the_sine_of_twice_an_angle_is_named() -> None:
+    m = ph.Model("satellite")
+    th, w = m.states(th="rad", w="rad/s")
+    (u,) = m.inputs(u="N*m")
+    b, d = m.parameters(b=1.0, d=0.05)
+    m.dynamics(th=w, w=b * u - d * w)
+    m.outputs(th=th, w=w)
+    first, second = _satellite(1, "a"), _satellite(2, "b")
+    assert min(float(np.ptp(e.outputs["th"])) for e in (first, second)) > 1.5
+    (found,) = named(ph.diagnose(ph.estimate(m, first), validation=second))
+    assert found.cause == "w':sin(2*th)"
+    assert found.coefficient == pytest.approx(-0.05, abs=4.0 * found.std_error)
+    assert found.explained > 0.95

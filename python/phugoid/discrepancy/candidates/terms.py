@@ -37,6 +37,8 @@ _Array = NDArray[np.float64]
 _KINK, _JUMP = 0.003, 0.005
 # Periods over the range of a position, at most, and of a turn; and the part of a turn from which on there may be some.
 _RIPPLES, _OF_TURN, _TURNS = 30, 48, 0.24
+# Range of an angle from which on its sine is not just a straight line and a cube, rad.
+_OF_SINES = 1.0
 # Nodes beyond those of a table, after which it is the straight line that it is to go on with.
 _BEYOND = 4
 
@@ -115,6 +117,20 @@ FORMS: Mapping[str, Form] = {
         "sin({0})*{1}*{2}",
         "sin_{0}_{1}_{2}",
         "contains a term proportional to sin({0}), {1} and {2} (Coriolis force)",
+        centred=False,
+    ),
+    # From where the angle is zero: weight, a magnet or a spring at a lever, the gradient of gravity.
+    "sine": Form(
+        lambda x, _: sin(x), "sin({0})", "sin_{0}", "contains a term proportional to sin({0})", centred=False
+    ),
+    "sine, cosine": Form(
+        lambda x, _: cos(x), "cos({0})", "cos_{0}", "contains a term proportional to cos({0})", centred=False
+    ),
+    "sine, twice": Form(
+        lambda x, _: sin(2.0 * x),
+        "sin(2*{0})",
+        "sin_2_{0}",
+        "contains a term proportional to sin(2 {0}) (two equal positions a turn)",
         centred=False,
     ),
     # Its slope has no jump, so nothing needs rounding.
@@ -223,6 +239,8 @@ class Term(Effect):
         if self.form == "root":
             (x,) = self.variables
             return super().worthwhile() and self.scales.is_positive(x) and self.scales.reaches_zero(x)
+        if self.family == "sine":
+            return super().worthwhile() and self.scales.span(*self.variables) >= _OF_SINES
         return super().worthwhile() and (self.form != "sign" or self.scales.nearly_crosses(self.variables[0]))
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 import phugoid as ph
+
+_Array = np.ndarray
 
 # Goodwin's oscillator with saturated degradation.
 TRUTH = {
@@ -113,3 +116,85 @@ def test_noise_about_a_constant_is_not_a_motion_to_look_for() -> None:
     outputs = {n: np.asarray(clean[n]) + 0.1 * rng.standard_normal(t.size) for n in ("x", "y")}
     fit = ph.estimate(m, run.with_outputs(outputs))
     assert fit.converged and fit.iterations < 20
+
+
+# A rotary pendulum that a controller balances: masses in kg, lengths in m, inertias in kg m², resistance in ohm.
+_BOB, _ARM, _ROD, _INERTIA, _GRAVITY, _OHM = 0.024, 0.085, 0.0645, 1.33e-4, 9.81, 8.4
+_PENDULUM = {"kt": 0.0378, "b_arm": 3e-4, "b_rod": 2e-5, "J": 2.3e-4}
+
+
+# The torque constant, friction of arm and rod, and inertia: from a fortieth of the true values to thirty times.
+_FAR = (
+    (0.063, 0.0015, 3.7e-6, 2e-4),
+    (0.02, 0.001, 1.9e-5, 0.0022),
+    (0.8, 0.0011, 1.5e-5, 3.4e-4),
+    (0.0021, 2.1e-5, 4e-6, 0.0062),
+)
+
+
+def _accelerations(
+    state: Any, v: Any, kt: Any, b_arm: Any, b_rod: Any, j: Any, sin: Callable[[Any], Any], cos: Callable[[Any], Any]
+) -> tuple[Any, Any]:
+    """Return those of the arm and of the rod, which stands upright at zero."""
+    _, up, w, a = state
+    s, c = sin(up), cos(up)
+    on_arm = kt * (v - kt * w) / _OHM - b_arm * w - 2.0 * _BOB * _ROD**2 * s * c * w * a + _BOB * _ARM * _ROD * s * a**2
+    on_rod = _BOB * _ROD**2 * s * c * w**2 + _BOB * _GRAVITY * _ROD * s - b_rod * a
+    m11, m12 = j + _BOB * _ROD**2 * s**2, _BOB * _ARM * _ROD * c
+    det = m11 * _INERTIA - m12**2
+    return (_INERTIA * on_arm - m12 * on_rod) / det, (m11 * on_rod - m12 * on_arm) / det
+
+
+def _balanced(seed: int) -> tuple[_Array, _Array, _Array]:
+    """Return 8 s at 100 Hz of encoders with 2,048 counts, from which the controller has its speeds, too."""
+    rng = np.random.default_rng(seed)
+    dt, count = 0.01, 2.0 * np.pi / 2048
+    gains = np.array([-2.75, -30.05, -1.25, -2.58])
+
+    def f(x: _Array, v: float) -> _Array:
+        return np.array([x[2], x[3], *_accelerations(x, v, *_PENDULUM.values(), np.sin, np.cos)])
+
+    x, speeds, aim = np.array([0.0, 0.02, 0.0, 0.0]), np.zeros(2), 0.0
+    before: _Array | None = None
+    rows: list[_Array] = []
+    volts: list[float] = []
+    for k in range(800):
+        aim = 0.35 * rng.choice([-1.0, 1.0]) if k % 150 == 0 else aim
+        seen = np.round(x[:2] / count) * count
+        if before is not None:
+            speeds = speeds + 0.4 * ((seen - before) / dt - speeds)
+        before = seen
+        v = float(np.clip(gains @ np.array([aim - seen[0], -seen[1], -speeds[0], -speeds[1]]), -10.0, 10.0))
+        rows.append(seen)
+        volts.append(v)
+        for _ in range(5):
+            h = dt / 5
+            k1 = f(x, v)
+            k2 = f(x + h / 2 * k1, v)
+            k3 = f(x + h / 2 * k2, v)
+            x = x + h / 6 * (k1 + 2.0 * k2 + 2.0 * k3 + f(x + h * k3, v))
+    seen = np.array(rows)
+    return np.arange(800) * dt, np.array(volts), seen
+
+
+def test_a_pendulum_that_a_controller_balances_is_found_from_far() -> None:
+    """Speeds are not measured, the motion is unstable, and the controller acts on what encoders show.
+
+    With output injection into the positions alone none of these starts reached the optimum.
+    """
+    t, volts, seen = _balanced(3)
+    m = ph.Model("rotary pendulum")
+    arm, up, w, a = m.states(arm="rad", up="rad", w="rad/s", a="rad/s")
+    (v,) = m.inputs(v="V")
+    p = m.parameters(**_PENDULUM)
+    of_arm, of_rod = _accelerations((arm, up, w, a), v, *p, ph.sin, ph.cos)
+    m.dynamics(arm=w, up=a, w=of_arm, a=of_rod)
+    m.outputs(arm=arm, up=up)
+    run = ph.Experiment(t, {"v": volts}, {"arm": seen[:, 0], "up": seen[:, 1]}, name="balanced", interpolation="hold")
+    best = ph.estimate(m, run, start=_PENDULUM)
+    assert best.converged
+    reached = []
+    for start in _FAR:
+        fit = ph.estimate(m, run, start=dict(zip(_PENDULUM, start, strict=True)))
+        reached.append(fit.converged and fit.log_likelihood > best.log_likelihood - 0.1)
+    assert all(reached)

@@ -6,6 +6,11 @@
 //! are predicted over the short time 1/K only, and the prediction error has few optima (Ljung, *System Identification*, section
 //! 7.3, where K is that of an observer). From an optimum for a large gain the way leads through falling gains to that of the
 //! model as it is (Abarbanel, Creveling, Farsian and Kostuk 2009; Vyasarayani, Uchida, Carvalho and McPhee 2011).
+//!
+//! Where a measured position is the integral of a speed that no output shows, the error of the position alone would leave that of
+//! the speed as it is. Both are injected then, as in an observer of second order.
+
+use std::time::Duration;
 
 use super::Estimation;
 use super::accuracy::SEARCH;
@@ -18,7 +23,7 @@ use crate::experiment::{Experiment, Signal};
 use crate::expr::Expr;
 use crate::interpolate::Interpolation;
 use crate::interrupt::current;
-use crate::model::Model;
+use crate::model::{Model, Variable};
 use crate::solver::Settings;
 
 /// An output is densely sampled where it has so many samples in each record that measures it.
@@ -27,6 +32,10 @@ const DENSE: usize = 20;
 const EXPLAINED: f64 = 0.8;
 /// The first gain, in units of one over the sampling interval; smaller ones than the last are none.
 const FIRST: f64 = 1.0;
+/// First gains in turn, where a speed is injected: over one interval noise of a position hides what a speed does.
+const OF_SPEEDS: [f64; 2] = [0.3, 0.1];
+/// Damping ratio with which the errors of a position and its speed decay.
+const DAMPING: f64 = 0.7;
 const LAST: f64 = 0.02;
 /// Factors from a gain to the next: the first one, the least, and the one beyond which steps are too short.
 const FACTOR: f64 = 0.7;
@@ -57,6 +66,9 @@ pub(super) struct Injection {
     outputs: Vec<(usize, f64)>,
     /// Measured values of all outputs.
     values: usize,
+    /// The states that an output measures alone, and that are the integral of one unmeasured state times a constant: the output,
+    /// that state and the constant.
+    speeds: Vec<(usize, String, f64)>,
 }
 
 /// A model with injected outputs, and records with these as inputs.
@@ -79,7 +91,29 @@ impl Estimation<'_> {
         };
         let outputs: Vec<(usize, f64)> = (0..self.model.outputs.len()).filter_map(interval).collect();
         let values = (0..self.model.outputs.len()).flat_map(measured).map(|s| s.0).sum();
-        (!outputs.is_empty()).then_some(Injection { outputs, values })
+        let speeds = self.unmeasured_speeds(&outputs);
+        (!outputs.is_empty()).then_some(Injection { outputs, values, speeds })
+    }
+
+    /// Returns the outputs, of those that are injected, that measure alone a state whose equation has one state that no output
+    /// depends on: the number of the output, that state, and its factor there, where that is a constant.
+    fn unmeasured_speeds(&self, injected: &[(usize, f64)]) -> Vec<(usize, String, f64)> {
+        let (dynamics, outputs) = self.model.expanded();
+        let states = &self.model.states;
+        let is_shown = |name: &str| outputs.iter().any(|y| y.symbols().iter().any(|s| &**s == name));
+        let mut found: Vec<(usize, String, f64)> = Vec::new();
+        for &(c, _) in injected {
+            let Some((i, slope)) = measured_alone(states, &outputs[c]) else { continue };
+            let hidden = states.iter().filter(|v| v.name != states[i].name && !is_shown(&v.name));
+            let factors = hidden.map(|v| (v, dynamics[i].derivative(&v.name).as_constant()));
+            let acting: Vec<_> = factors.filter(|(_, k)| *k != Some(0.0)).collect();
+            if let [(v, Some(k))] = acting[..]
+                && found.iter().all(|(_, name, _)| *name != v.name)
+            {
+                found.push((c, v.name.clone(), k * slope));
+            }
+        }
+        found
     }
 
     /// Follows estimates with falling gains from several starts, and takes the end into the search where it is better.
@@ -142,9 +176,42 @@ impl Estimation<'_> {
     /// estimate at each gain suffices.
     pub(super) fn led_by_injection(&self, poor: &Fit, watch: &mut Watch<'_>) -> Result<Option<Fit>, Error> {
         let Some(injection) = self.injection() else { return Ok(None) };
-        let Some(injected) = self.injected(&injection, FIRST) else { return Ok(None) };
+        let firsts: &[f64] = if injection.speeds.is_empty() { &[FIRST] } else { &OF_SPEEDS };
+        let (mut best, mut iterations, mut time): (Option<Fit>, _, _) = (None, 0, Duration::ZERO);
+        for &gain in firsts {
+            if current().stops() {
+                break;
+            }
+            let Some(mut end) = self.led_from(gain, &injection, poor, watch)? else { continue };
+            iterations += end.iterations;
+            time += end.solution.time;
+            (end.iterations, end.solution.time) = (iterations, time);
+            let rank = |fit: &Fit| (fit.status.is_end(), if fit.feasible { fit.log_likelihood } else { f64::NEG_INFINITY });
+            if best.as_ref().is_none_or(|best| rank(&end) > rank(best)) {
+                best = Some(end);
+            }
+            if best.as_ref().is_some_and(|best| !best.is_poor()) {
+                break;
+            }
+        }
+        Ok(best)
+    }
+
+    /// Returns the same from this first gain on.
+    fn led_from(
+        &self,
+        first_gain: f64,
+        injection: &Injection,
+        poor: &Fit,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<Fit>, Error> {
+        let Some(injected) = self.injected(injection, first_gain) else { return Ok(None) };
         let Injected { model, experiments } = &injected;
-        let begun = Estimation { model, experiments, ..self.clone() };
+        let mut begun = Estimation { model, experiments, ..self.clone() };
+        if !injection.speeds.is_empty() && self.paths.is_none() {
+            // Driven so, the model can be simulated with any parameters, and from there few starts lead astray.
+            (begun.paths, begun.regression) = (Some(true), Some(false));
+        }
         let loss = LOSS * injection.values as f64;
         let least = if poor.feasible { poor.log_likelihood } else { f64::NEG_INFINITY };
         // Else it predicts no better over so short a time than the model without injection does at all.
@@ -158,7 +225,7 @@ impl Estimation<'_> {
             return Ok(None);
         }
         let (mut highest, fall) = (first.log_likelihood, FALL * injection.values as f64);
-        let (mut fit, mut gain, mut factor) = (first, FIRST, FACTOR);
+        let (mut fit, mut gain, mut factor) = (first, first_gain, FACTOR);
         for _ in 0..ESTIMATES {
             if fit.status.was_stopped() || current().stops() {
                 return Ok(None);
@@ -170,7 +237,7 @@ impl Estimation<'_> {
                 end.solution.time += fit.solution.time;
                 return Ok(Some(end));
             }
-            let Some(injected) = self.injected(&injection, next) else { return Ok(None) };
+            let Some(injected) = self.injected(injection, next) else { return Ok(None) };
             let mut found = self.within(&injected).going_on_from(&fit).solve_on_mesh(watch)?;
             found.iterations += fit.iterations;
             found.solution.time += fit.solution.time;
@@ -265,7 +332,8 @@ impl Estimation<'_> {
     /// sampling interval, and the records with these measurements as held inputs. None where a name is taken.
     ///
     /// The output error e of an output g enters each state in proportion to ∂g/∂x: by K e ∂g/∂x / |∂g/∂x|², so that it
-    /// decays by itself as K. A state that an output measures by itself follows that output alone.
+    /// decays by itself as K. A state that an output measures by itself follows that output alone. Where it has a speed that is
+    /// injected, too, both decay with the natural frequency K.
     fn injected(&self, injection: &Injection, gain: f64) -> Option<Injected> {
         let (mut model, mut experiments) = (self.model.clone(), self.experiments.to_vec());
         if gain == 0.0 {
@@ -277,15 +345,11 @@ impl Estimation<'_> {
             let slopes = states.iter().map(|s| (s.name.as_str(), outputs[c].derivative(&s.name)));
             slopes.filter(|(_, d)| d.as_constant() != Some(0.0)).collect()
         };
-        // Others with an influence on such a state tell no more of it, and may lose their slope, as lift does in a stall.
-        let measured_alone = |c: usize| match &slopes_of(c)[..] {
-            [(state, slope)] if slope.as_constant().is_some() => Some(*state),
-            _ => None,
-        };
-        let followed: Vec<&str> = injection.outputs.iter().filter_map(|o| measured_alone(o.0)).collect();
+        let alone = |c: usize| measured_alone(states, &outputs[c]).map(|(i, _)| states[i].name.as_str());
+        let followed: Vec<&str> = injection.outputs.iter().filter_map(|o| alone(o.0)).collect();
         for &(c, interval) in &injection.outputs {
             let mut slopes = slopes_of(c);
-            if measured_alone(c).is_none() {
+            if alone(c).is_none() {
                 slopes.retain(|(state, _)| !followed.contains(state));
             }
             if slopes.is_empty() {
@@ -296,7 +360,15 @@ impl Estimation<'_> {
             let z = model.input(&measured, "").ok()?;
             let present = model.input(&present, "").ok()?;
             let square = slopes.iter().map(|(_, d)| d * d).reduce(|sum, d| sum + d)?;
-            let error = (gain / interval) * present * (z - &outputs[c]) / square;
+            let rate = gain / interval;
+            let speed = injection.speeds.iter().find(|s| s.0 == c);
+            let error = present * (z - &outputs[c]);
+            if let Some((_, name, factor)) = speed {
+                let equation = model.dynamics.iter_mut().find(|e| e.name == *name)?;
+                equation.expr = (&equation.expr + rate * rate / factor * &error).simplified();
+            }
+            let rate = if speed.is_some() { 2.0 * DAMPING * rate } else { rate };
+            let error = rate * error / square;
             for (state, slope) in slopes {
                 let equation = model.dynamics.iter_mut().find(|e| e.name == state)?;
                 equation.expr = (&equation.expr + slope * &error).simplified();
@@ -311,6 +383,18 @@ impl Injection {
     /// Whether much of a densely sampled output is unexplained.
     pub fn may_improve(&self, fit: &Fit) -> bool {
         self.outputs.iter().any(|(c, _)| !fit.feasible || fit.r_squared(*c).is_some_and(|r| r < EXPLAINED))
+    }
+}
+
+/// Returns the number of the only state that an output depends on, and its factor, where that is a constant.
+///
+/// Others with an influence on such a state tell no more of it, and may lose their slope, as lift does in a stall.
+fn measured_alone(states: &[Variable], output: &Expr) -> Option<(usize, f64)> {
+    let slopes = states.iter().enumerate().map(|(i, s)| (i, output.derivative(&s.name).as_constant()));
+    let acting: Vec<_> = slopes.filter(|(_, d)| *d != Some(0.0)).collect();
+    match acting[..] {
+        [(i, Some(slope))] => Some((i, slope)),
+        _ => None,
     }
 }
 

@@ -238,7 +238,7 @@ impl Estimation<'_> {
 impl Fit {
     /// Returns whether it is at no optimum, at one whose tolerances were not met, or at one at which no output or few outputs are
     /// matched well.
-    fn is_poor(&self) -> bool {
+    pub(super) fn is_poor(&self) -> bool {
         let outputs = || 0..self.model.outputs.len();
         let unexplained = outputs().filter(|c| self.explained(*c).is_some_and(|r| r < EXPLAINED)).count();
         !self.status.is_end()

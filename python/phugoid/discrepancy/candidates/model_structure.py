@@ -52,8 +52,8 @@ class ModelStructure:
     """Variables and places of a model.
 
     A quantity is a place where parameters stand in it; others define something exactly. A state equation is one where
-    parameters stand in it, and no quantity that is a place: else its terms belong to the quantity. Equations without
-    either are exact kinematics (theta' = q).
+    parameters stand in it, and no quantity that is a place, other than those that several equations share: else its
+    terms belong to the quantity. Equations without either are exact kinematics (theta' = q).
 
     Terms that were declared because equations share them (`with_shared_terms`) take no place from these.
 
@@ -80,6 +80,8 @@ class ModelStructure:
         for name, e in self.dynamics.items():
             own = bool(self._parameters.intersection(e.symbols))
             through = {n for n in {*e.symbols}.intersection(derived - ties) if not is_shared_term(n)}
+            if own:  # a term of this equation alone is none of what others have, too
+                through -= {n for n in through if sum(n in other.symbols for other in self.dynamics.values()) > 1}
             if (every_equation and (own or through)) or (own and not through):
                 equations.append(name)
         self.places = [Place("quantity", name) for name in self.quantities if name in uncertain & known]

@@ -120,9 +120,7 @@ FORMS: Mapping[str, Form] = {
         centred=False,
     ),
     # From where the angle is zero: weight, a magnet or a spring at a lever, the gradient of gravity.
-    "sine": Form(
-        lambda x, _: sin(x), "sin({0})", "sin_{0}", "contains a term proportional to sin({0})", centred=False
-    ),
+    "sine": Form(lambda x, _: sin(x), "sin({0})", "sin_{0}", "contains a term proportional to sin({0})", centred=False),
     "sine, cosine": Form(
         lambda x, _: cos(x), "cos({0})", "cos_{0}", "contains a term proportional to cos({0})", centred=False
     ),

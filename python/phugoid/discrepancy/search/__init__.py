@@ -13,7 +13,7 @@ from ...errors import joined
 from ...sensitivities.linearised import Linearised
 from ...time_unit import TimeUnit
 from ..candidates.candidate import Candidate, Effect, added_by_centre
-from .admissibility import is_physical
+from .admissibility import is_physical, is_plausible
 from .confirmation import Confirmation, ConfirmationSettings, Found, Refitting, RefittingSettings
 from .evidence import Assessment, AssessmentSettings
 from .finding import ExtensionResult, Gain
@@ -36,7 +36,8 @@ class SearchSettings:
     linear terms are tried all, and where the part ``doubt`` is, twice as many as the screen proposes. Where no more
     than ``structure`` is predictable, nothing is unexplained. The trim of a function of one variable is estimated where
     that gains more than ``centre`` in log-likelihood, and with it a term less is as good within ``same``.
-    A cause gives way to another one that is ahead of it by ``ahead`` in twice the log-likelihood beside the others."""
+    A cause gives way to another one that is ahead of it by ``ahead`` in twice the log-likelihood beside the others, and
+    one whose size is not physical to one that explains the part ``nearly`` of what it does."""
 
     screen: ScreenSettings = field(default_factory=ScreenSettings)
     refitting: RefittingSettings = field(default_factory=RefittingSettings)
@@ -51,6 +52,7 @@ class SearchSettings:
     centre: float = 8.0
     same: float = 3.0
     ahead: float = 6.0
+    nearly: float = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,6 +285,7 @@ class Search:
         Terms that are not named and make the simulation of data held out no better are not reported.
         """
         at = self._centred(at) if at.candidates else at
+        at = self._of_physical_size(at)
         at = self._preferred(at, self._named(at).names)
         at, final = self._simplified(at, self._named(at))
         named = {c.name: c for c in final.candidates}
@@ -341,6 +344,27 @@ class Search:
                 if self.assessment.is_named(r, new, self.confirmation.explained(r, new)):
                     best, rank = r, own
             at = best
+        return at
+
+    def _of_physical_size(self, at: Refit) -> Refit:
+        """Return the refit with another cause in place of each whose size is not physical, where one that is explains
+        nearly as much: a lag of the input in place of a huge lagged damping, say."""
+        for name in at.names:
+            candidate = next(c for c in at.candidates if c.name == name)
+            own = self.confirmation.explained(at, candidate)
+            if own is None or is_plausible(at, candidate, own):
+                continue
+            others = [c for c in at.candidates if c is not candidate]
+            for r, _ in self.refitting.alternatives(at, candidate):
+                if r is at or r.names == at.names:
+                    continue
+                (new,) = r.beside(others)
+                explained = self.confirmation.explained(r, new)
+                if not is_physical(r, new) or explained is None or explained.part < self.settings.nearly * own.part:
+                    continue
+                if not self._is_chance(r, new) and self.assessment.is_named(r, new, explained):
+                    at = r
+                    break
         return at
 
     def _named(self, full: Refit) -> Refit:

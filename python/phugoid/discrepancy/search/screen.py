@@ -51,6 +51,8 @@ _SAME = 1.0
 _MOST, _AS_MUCH, _LEAVES, _NEGLIGIBLE = 0.5, 0.95, 3.0, 0.01
 # Functions of one variable that are fitted in place of another one.
 _FUNCTIONS = 8
+# Times as many candidates are looked at again where the misfit is evident.
+_MORE = 3
 # Singular values of changes of several parameters, in parts of the largest, below which they are the same.
 _RANK = 1e-4
 
@@ -280,7 +282,8 @@ class Screen:
         scan = self._cache.scan(at)
         statistics = scan.through(filter)
         near = self._alike(scan, statistics, candidate)
-        found = [*self._best(scan, statistics, best), *near[:alike]]
+        # What a large effect gains is not what it gains to first order.
+        found = [*self._best(scan, statistics, _MORE * best if self._is_evident else best), *near[:alike]]
         # Powers of an input act like its limits, and are many.
         found += [c for c in near[alike:] if c.place.kind == "input"][:alike]
         if isinstance(candidate, Effect) and is_function(candidate) and self._is_evident:

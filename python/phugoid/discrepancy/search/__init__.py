@@ -176,7 +176,8 @@ class Search:
             if following is None or following.names in seen:
                 break
             seen.add(following.names)
-            following = self._centred(following)
+            # Beside a term that is not the cause the next one may not show.
+            following = self._of_physical_size(self._centred(following))
             minor = minor + 1 if self._is_minor(current, following) else 0
             steps.append(following)
             if minor == self.settings.minor:  # what comes next would be less

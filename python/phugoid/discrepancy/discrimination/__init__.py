@@ -90,8 +90,8 @@ class Advice:
         if self.alike and self.tried:
             sentences.append(
                 f"No manoeuvre of {joined(self.tried, 'or')} tried here ({KINDS}; {number(self.length)} "
-                f"{self.time_unit}, up to {GREATEST:g} times the amplitude of this record) would distinguish it from "
-                f"{joined(self.alike, 'or')}: their effects are the same."
+                f"{self.time_unit}, up to {GREATEST:g} times the amplitude of this record) is expected to distinguish "
+                f"it from {joined(self.alike, 'or')}."
             )
         return " ".join(sentences)
 

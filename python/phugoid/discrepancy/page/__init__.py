@@ -87,7 +87,9 @@ def headline(diagnosis: DiagnosisResult) -> str:
 def _minor(findings: Sequence[Finding]) -> str:
     """Return sentences on minor findings: those that explain little, and those that may explain much by chance."""
     little = [f.cause for f in findings if not f.explained > AssessmentSettings.minor]
-    open_ = [f.cause for f in findings if f.explained > AssessmentSettings.minor]
+    more = [f for f in findings if f.explained > AssessmentSettings.minor]
+    open_ = [f.cause for f in more if not f.explained_interval[0] > 0.0]
+    doubtful = [f.cause for f in more if f.explained_interval[0] > 0.0]
     text = ""
     if little:
         least = percent(AssessmentSettings.minor)
@@ -95,6 +97,9 @@ def _minor(findings: Sequence[Finding]) -> str:
     if open_:
         what = "is significant, but what it explains" if len(open_) == 1 else "are significant, but what they explain"
         text += f" {', '.join(open_)} {what} of held-out data may be chance."
+    if doubtful:
+        what = "explains" if len(doubtful) == 1 else "explain"
+        text += f" {', '.join(doubtful)} {what} a part of the misfit of held-out data, but not as an established cause."
     return text
 
 

@@ -145,3 +145,21 @@ def test_files_are_read_in_the_unit_of_the_model(tmp_path: Path) -> None:
         ph.estimate(house(), seconds)
     with pytest.raises(ph.DataError, match="read: time_unit is a unit of time"):
         ph.read(file, time_unit="1/h")
+
+
+def test_rates_per_another_unit_than_the_time_of_the_model_are_remarked() -> None:
+    def fitted(time_unit: str) -> ph.Fit:
+        m = ph.Model("store", time_unit=time_unit)
+        (x,) = m.states(x="mg")
+        (u,) = m.inputs(u="mg/h")
+        (k,) = m.parameters(k=ph.Parameter(0.5, unit="1/h"))
+        m.dynamics(x=u - k * x)
+        m.outputs(x=x)
+        t = np.arange(0.0, 20.0, 0.5)
+        exact = np.asarray(ph.simulate(m, {"k": 0.3}, ph.Experiment(t, {"u": np.sin(t)})).outputs["x"])
+        noise = 0.01 * np.random.default_rng(1).standard_normal(t.size)
+        return ph.estimate(m, ph.Experiment(t, {"u": np.sin(t)}, {"x": exact + noise}))
+
+    (said,) = [w for w in fitted("s").warnings if "time_unit" in w]
+    assert said == "the time of the model is in s, but u and k are per h: Model(..., time_unit='h')"
+    assert not [w for w in fitted("h").warnings if "time_unit" in w]

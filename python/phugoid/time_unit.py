@@ -17,6 +17,8 @@ _SPELLINGS = (
     ("h", "hr", "hour", "hours"),
     ("day", "d", "days"),
 )
+# One rate alone may be in a unit of its own.
+_RATES = 2
 
 
 class TimeUnit(str):
@@ -62,6 +64,21 @@ class TimeUnit(str):
     def is_rate(self, unit: str) -> bool:
         """Return whether a unit is one per unit of time."""
         return unit.endswith(tuple(f"/{spelling}" for spelling in self._spellings))
+
+    def other(self, units: Mapping[str, str]) -> tuple[str, list[str]]:
+        """Return another unit of time that all rates among some units by name have, and the names of these rates; ""
+        and none where there is none, or only one rate.
+
+        >>> SECONDS.other({"k": "1/h", "dose": "mg/h", "V": "L"}), SECONDS.other({"k": "1/h", "v": "m/s"})
+        (('h', ['k', 'dose']), ('', []))
+        """
+        groups = [
+            (TimeUnit(group[0]), [n for n, u in units.items() if TimeUnit(group[0]).is_rate(u)]) for group in _SPELLINGS
+        ]
+        found = [(unit, names) for unit, names in groups if names]
+        if len(found) != 1 or len(found[0][1]) < _RATES or self in found[0][0]._spellings:
+            return "", []
+        return str(found[0][0]), found[0][1]
 
     def axis(self, what: str = "time") -> str:
         """Return the label of an axis of times."""

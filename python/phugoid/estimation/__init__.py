@@ -11,7 +11,7 @@ import numpy as np
 from ..data.checked import moves
 from ..data.experiment import Experiment, as_experiments, completed
 from ..data.units import check_units
-from ..errors import ModelError, OptionError, check_progress
+from ..errors import ModelError, OptionError, check_progress, joined
 from ..filter_error import FilterError
 from ..fit_result import FitResult
 from ..initialisation import start_values
@@ -21,6 +21,7 @@ from ..regression.equation_error import EquationError
 from ..solvers import HINTS, Deadline, Iteration, interrupts
 from ..solvers.ipopt import Ipopt
 from ..solvers.newton import Newton
+from ..time_unit import SECONDS
 from ..transcription import Collocation, MultipleShooting, SingleShooting, Transcription
 from .core import Earlier, estimated, make_fit
 from .filter_fit import better, doubtful, filter_error
@@ -182,6 +183,13 @@ def _estimate(
     if unused := [n for n in model.unused_quantities if parameters.intersection(model.equations[n].symbols)]:
         text = f"no equation uses the quantity {', '.join(unused)}: write its symbol where it acts, or leave it out"
         fit = replace(fit, warnings=(*fit.warnings, text))
+    if "time" not in model.units:
+        unit, rates = SECONDS.other(model.units)
+        if unit:
+            text = (
+                f"the time of the model is in s, but {joined(rates[:3])} are per {unit}: Model(..., time_unit='{unit}')"
+            )
+            fit = replace(fit, warnings=(*fit.warnings, text))
     if isinstance(start, FitResult) and (worse := _worse_than_start(fit, start)):
         fit = replace(fit, warnings=(worse, *fit.warnings))
     return fit

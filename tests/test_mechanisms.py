@@ -8,6 +8,8 @@ import pytest
 from rigs import integrated, named
 
 import phugoid as ph
+from phugoid.discrepancy.search import is_free_motion
+from phugoid.discrepancy.search.refit import Refit, refit
 
 _Array = np.ndarray
 
@@ -346,3 +348,49 @@ def test_the_sine_of_twice_an_angle_is_named() -> None:
     assert found.cause == "w':sin(2*th)"
     assert found.coefficient == pytest.approx(-0.05, abs=4.0 * found.std_error)
     assert found.explained > 0.95
+
+
+def _with_panel(seed: int, name: str) -> ph.Experiment:
+    """A satellite with a panel that swings, and does so when a record begins."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 160.0, 0.25)
+    u = 20.0 * np.sign(_smooth(rng, t, 1.0, (0.011, 0.027, 0.05)))
+
+    def f(x: _Array, u: float) -> _Array:
+        _, w, e, rate = x
+        spring = -0.01 * rate - 1.1**2 * e
+        turn = (0.02 * u - 0.15 * spring) / 0.85
+        return np.array([w, turn, rate, spring - turn])
+
+    x = integrated(f, np.array([0.0, 0.0, 0.25, 0.0]), t, u)
+    outputs = {
+        "th": x[:, 0] + 0.1 * rng.standard_normal(t.size),
+        "w": x[:, 1] + 0.02 * rng.standard_normal(t.size),
+    }
+    return ph.Experiment(t, {"u": u}, outputs, name=name, interpolation="hold")
+
+
+def test_the_free_motion_of_a_mode_is_no_other_cause() -> None:
+    m = ph.Model("satellite with a panel")
+    th, w = m.states(th="mrad", w="mrad/s")
+    (u,) = m.inputs(u="mN*m")
+    (b,) = m.parameters(b=0.03)
+    m.dynamics(th=w, w=b * u)
+    m.outputs(th=th, w=w)
+    fit = ph.estimate(m, _with_panel(1, "a"))
+    d = ph.diagnose(fit, validation=_with_panel(2, "b"))
+    (found,) = named(d)
+    assert found.cause == "w':mode"
+    frequency = 1.1 / np.sqrt(0.85)
+    assert found.parameters["frequency_w_dot_mode"][0] == pytest.approx(frequency, rel=0.01)
+    listed = [c for c in ph.candidates(m) if c.name in ("w':mode", "w':periodic")]
+    mode, wave = sorted(listed, key=lambda c: c.name)
+    free = dict(zip(wave.parameters, (0.01, 0.01, 1.1 * frequency), strict=True))
+    held = [*free]
+    for factor, expected in ((1.1, True), (1.5, False), (0.7, False)):
+        free[held[-1]] = factor * frequency
+        start = {**{n: e[0] for n, e in found.parameters.items()}, **free}
+        both = refit(fit, [mode, wave], start, fit, Refit((), fit).linear.points, held=held)
+        assert both is not None
+        assert is_free_motion(both, wave) is expected
+    assert not is_free_motion(both, mode)

@@ -13,6 +13,7 @@ from ...errors import joined
 from ...sensitivities.linearised import Linearised
 from ...time_unit import TimeUnit
 from ..candidates.candidate import Candidate, Effect, added_by_centre
+from ..candidates.hysteresis import FlexibleMode
 from .admissibility import is_physical, is_plausible
 from .confirmation import Confirmation, ConfirmationSettings, Found, Refitting, RefittingSettings
 from .evidence import Assessment, AssessmentSettings
@@ -25,7 +26,12 @@ __all__ = [
     "Search",
     "SearchResult",
     "SearchSettings",
+    "is_free_motion",
 ]
+
+
+# Ratio of the frequencies of a mode and of its free motion, at most: a line of a record of few periods is wide.
+_OF_A_MODE = 1.25
 
 
 @dataclass(frozen=True)
@@ -385,6 +391,7 @@ class Search:
                 if not assess.is_named(at, c, explained[c.name], rest[c.name])
                 or self._is_random_walk(at, c)
                 or self._is_chance(at, c)
+                or is_free_motion(at, c)
             ]
             if not weak:
                 return at
@@ -475,6 +482,17 @@ class Search:
         )
         gain = gain.as_fitted(base.fit, final.fit, base.linear.n_rows)
         return ExtensionResult(final.fit.model, final.fit, final.names, gain)
+
+
+def is_free_motion(at: Refit, candidate: Candidate) -> bool:
+    """Return whether a periodic disturbance may be the free motion of a lightly damped mode that a refit has beside it:
+    the mode begins at rest, and in the records it need not have."""
+    if getattr(candidate, "family", "") != "periodic":
+        return False
+    modes = [c for c in at.candidates if isinstance(c, FlexibleMode)]
+    (own,) = candidate.shape_names
+    ratios = [at.own.parameter(c.shape_names[0])[0] / at.own.parameter(own)[0] for c in modes]
+    return any(1.0 / _OF_A_MODE < ratio < _OF_A_MODE for ratio in ratios)
 
 
 def _fed_back(outputs: Sequence[str]) -> str:

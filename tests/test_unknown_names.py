@@ -27,7 +27,10 @@ def fit() -> ph.Fit:
         (lambda fit: fit.records[0].inputs["w"], "there is no input 'w'. There are: u."),
         (lambda fit: fit.initial_states["runs"], "there is no experiment 'runs'. Did you mean 'run'? There are: run."),
         (lambda fit: fit.experiments[0].outputs["w"], "there is no output 'w'. There are: x, v."),
-        (lambda fit: fit.experiments[0].channels["w"], "there is no channel 'w'. There are: none."),
+        (
+            lambda fit: fit.experiments[0].channels["w"],
+            "there is no channel 'w'. There are: none. The record was made from arrays: use `inputs` and `outputs`.",
+        ),
     ],
 )
 def test_it_names_those_that_are_there(look: Callable[[ph.Fit], Any], message: str, fit: ph.Fit) -> None:

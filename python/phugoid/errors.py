@@ -136,12 +136,12 @@ class ByName(dict[str, _T]):
     phugoid.errors.UnknownName: there is no output 'alfa'. Did you mean 'alpha'? There are: q, alpha.
     """
 
-    def __init__(self, what: str, values: Mapping[str, _T]) -> None:
+    def __init__(self, what: str, values: Mapping[str, _T], hint: str = "") -> None:
         super().__init__(values)
-        self._what = what
+        self._what, self._hint = what, f" {hint}" if hint else ""
 
     def __missing__(self, name: object) -> NoReturn:
-        raise UnknownName(f"there is no {self._what} '{name}'.{listing(str(name), self)}")
+        raise UnknownName(f"there is no {self._what} '{name}'.{listing(str(name), self)}{self._hint}")
 
     def _ipython_key_completions_(self) -> list[str]:
         return list(self)
@@ -154,8 +154,8 @@ class ReadOnly(Mapping[str, _T]):
     {'q': 1, 'alpha': 2}
     """
 
-    def __init__(self, what: str, values: Mapping[str, _T]) -> None:
-        self._values = ByName(what, values)
+    def __init__(self, what: str, values: Mapping[str, _T], hint: str = "") -> None:
+        self._values = ByName(what, values, hint)
 
     def __getitem__(self, name: str) -> _T:
         return self._values[name]

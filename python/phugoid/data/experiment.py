@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Experiment", "FloatArray", "Interpolation", "Signal", "as_experiments"]
 
+_FROM_ARRAYS = "The record was made from arrays: use `inputs` and `outputs`."
+
 
 class Experiment(Preprocessing):
     """One record of measured inputs and outputs over N samples; immutable.
@@ -114,7 +116,7 @@ class Experiment(Preprocessing):
     @property
     def channels(self) -> Mapping[str, FloatArray]:
         """The columns that may serve as inputs or outputs: name -> (N,), read-only."""
-        return ReadOnly("channel", self._channels)
+        return ReadOnly("channel", self._channels, "" if self._channels else _FROM_ARRAYS)
 
     @property
     def units(self) -> Mapping[str, str]:

@@ -96,6 +96,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         "damping": 9,
         "effectiveness": 18,
         "cube": 18,
+        "sine": 3,  # of theta; they go when a record is there, too
         "quadratic": 18,
         "absolute": 18,
         "sign": 12,  # of V it goes when a record is there: V keeps its sign
@@ -130,6 +131,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         *("Cm:V^3", "Cm:alpha^3", "Cm:theta^3", "Cm:q^3", "Cm:de^3", "Cm:T^3"),
         *("Cm:V|V|", "Cm:alpha|alpha|", "Cm:theta|theta|", "Cm:q|q|", "Cm:de|de|", "Cm:T|T|"),
         *("Cm:|V|", "Cm:|alpha|", "Cm:|theta|", "Cm:|q|", "Cm:|de|", "Cm:|T|"),
+        *("Cm:sin(theta)", "Cm:cos(theta)", "Cm:sin(2*theta)"),
         *("Cm:sign(V)", "Cm:sign(q)", "Cm:sign(de)", "Cm:sign(T)"),
         *("Cm:lag_V", "Cm:lag_alpha", "Cm:lag_theta", "Cm:lag_q", "Cm:lag_de", "Cm:lag_T"),
         *("Cm:stribeck_V", "Cm:hysteresis_alpha", "Cm:hysteresis_theta", "Cm:stribeck_q", "Cm:stall"),

@@ -413,9 +413,7 @@ class Confirmation:
             much = explained is None or own is None or explained.part > self.settings.alias * own.part
             # Two kinds of evidence are needed to distinguish them: coloured noise is part of what is simulated freely.
             behind = held.gain - assess.held_out(without, r).gain
-            # Where the cause leaves nothing but noise, what another one leaves is none.
-            distinct = clean or behind > self.settings.beyond
-            if not (like and much) and distinct and assess.is_worse(without, r, at):
+            if not (like and much) and behind > self.settings.beyond and assess.is_worse(without, r, at):
                 continue
             alternatives[other.name] = gain
             if explained is not None:

@@ -61,8 +61,6 @@ class RemainderSettings:
     elsewhere  part of the power of the residuals of data held out, for a fit to these, that their past predicts, beyond
                which an event in the records is not what the model lacks.
     beside_drift  part of the misfit that a disturbance must explain beside a parameter that drifts.
-    grows      times the power of an output's residuals that they have on data held out, beyond which what is missing
-               is no disturbance that acts in both alike.
     bursts     part of the squares of a time history in a tenth of the time, beyond which it is no stationary random
                one: of normal values that is 0.44.
     """
@@ -82,7 +80,6 @@ class RemainderSettings:
     components: float = 0.6
     elsewhere: float = 0.3
     beside_drift: float = 0.25
-    grows: float = 50.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,7 +362,7 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         held_out = _held_out(search, option, d, other, s)
         if held_out <= 0.0:
             return None
-    moves = d.kind == "noise" and (_moves(option.at.linear, d, s) or _grows(option.at.linear, other, s))
+    moves = d.kind == "noise" and _moves(option.at.linear, d, s)
     bursts = d.kind == "noise" and in_a_tenth(d.values) > s.bursts
     oscillates = d.kind == "noise" and in_a_tenth(components_of(option.at.linear, d)) > s.components
     return Remainder(
@@ -390,18 +387,6 @@ def _moves(linear: Linearised, d: Disturbance, s: RemainderSettings) -> bool:
         for signals, values in ((past_inputs, [d.values]), (products_of_motion, [d.values, size]))
     )
     return by_inputs > s.predicted or by_products > s.products
-
-
-def _grows(linear: Linearised, other: Linearised | None, s: RemainderSettings) -> bool:
-    """Return whether the residuals of an output are far larger on data held out: gusts differ from flight to flight,
-    but a model that fits one record only has the wrong form."""
-    if other is None:
-        return False
-    powers = [
-        [float(np.mean(each.residuals[line[0].start : line[-1].stop] ** 2)) for line in each.rows]
-        for each in (linear, other)
-    ]
-    return any(there > s.grows * here for here, there in zip(*powers, strict=True))
 
 
 def _share(search: Search, at: Refit, of: Disturbance) -> float:

@@ -186,7 +186,9 @@ impl Estimation<'_> {
             iterations += end.iterations;
             time += end.solution.time;
             (end.iterations, end.solution.time) = (iterations, time);
-            let rank = |fit: &Fit| (fit.status.is_end(), if fit.feasible { fit.log_likelihood } else { f64::NEG_INFINITY });
+            let rank = |fit: &Fit| {
+                (fit.status.is_end(), if fit.feasible { fit.log_likelihood } else { f64::NEG_INFINITY })
+            };
             if best.as_ref().is_none_or(|best| rank(&end) > rank(best)) {
                 best = Some(end);
             }

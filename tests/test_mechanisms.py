@@ -8,7 +8,7 @@ import pytest
 from rigs import integrated, named
 
 import phugoid as ph
-from phugoid.discrepancy.search import is_free_motion
+from phugoid.discrepancy.search.admissibility import is_free_motion
 from phugoid.discrepancy.search.refit import Refit, refit
 
 _Array = np.ndarray

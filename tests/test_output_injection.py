@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rigs import integrated
 
 import phugoid as ph
 
@@ -121,8 +122,6 @@ def test_noise_about_a_constant_is_not_a_motion_to_look_for() -> None:
 # A rotary pendulum that a controller balances: masses in kg, lengths in m, inertias in kg m², resistance in ohm.
 _BOB, _ARM, _ROD, _INERTIA, _GRAVITY, _OHM = 0.024, 0.085, 0.0645, 1.33e-4, 9.81, 8.4
 _PENDULUM = {"kt": 0.0378, "b_arm": 3e-4, "b_rod": 2e-5, "J": 2.3e-4}
-
-
 # The torque constant, friction of arm and rod, and inertia: from a fortieth of the true values to thirty times.
 _FAR = (
     (0.063, 0.0015, 3.7e-6, 2e-4),
@@ -167,12 +166,7 @@ def _balanced(seed: int) -> tuple[_Array, _Array, _Array]:
         v = float(np.clip(gains @ np.array([aim - seen[0], -seen[1], -speeds[0], -speeds[1]]), -10.0, 10.0))
         rows.append(seen)
         volts.append(v)
-        for _ in range(5):
-            h = dt / 5
-            k1 = f(x, v)
-            k2 = f(x + h / 2 * k1, v)
-            k3 = f(x + h / 2 * k2, v)
-            x = x + h / 6 * (k1 + 2.0 * k2 + 2.0 * k3 + f(x + h * k3, v))
+        x = integrated(f, x, np.array([0.0, dt]), np.array([v, v]), finer=5)[-1]
     seen = np.array(rows)
     return np.arange(800) * dt, np.array(volts), seen
 

@@ -72,13 +72,11 @@ class TimeUnit(str):
         >>> SECONDS.other({"k": "1/h", "dose": "mg/h", "V": "L"}), SECONDS.other({"k": "1/h", "v": "m/s"})
         (('h', ['k', 'dose']), ('', []))
         """
-        groups = [
-            (TimeUnit(group[0]), [n for n, u in units.items() if TimeUnit(group[0]).is_rate(u)]) for group in _SPELLINGS
-        ]
-        found = [(unit, names) for unit, names in groups if names]
-        if len(found) != 1 or len(found[0][1]) < _RATES or self in found[0][0]._spellings:
+        rates = {group[0]: [n for n, u in units.items() if TimeUnit(group[0]).is_rate(u)] for group in _SPELLINGS}
+        found = [(unit, names) for unit, names in rates.items() if names]
+        if len(found) != 1 or len(found[0][1]) < _RATES or found[0][0] in self._spellings:
             return "", []
-        return str(found[0][0]), found[0][1]
+        return found[0]
 
     def axis(self, what: str = "time") -> str:
         """Return the label of an axis of times."""

@@ -183,12 +183,11 @@ def _estimate(
     if unused := [n for n in model.unused_quantities if parameters.intersection(model.equations[n].symbols)]:
         text = f"no equation uses the quantity {', '.join(unused)}: write its symbol where it acts, or leave it out"
         fit = replace(fit, warnings=(*fit.warnings, text))
-    if "time" not in model.units:
-        unit, rates = SECONDS.other(model.units)
+    if "time" not in (units := model.units):
+        unit, rates = SECONDS.other(units)
         if unit:
-            text = (
-                f"the time of the model is in s, but {joined(rates[:3])} are per {unit}: Model(..., time_unit='{unit}')"
-            )
+            listed = joined(rates[:3])
+            text = f"the time of the model is in s, but {listed} are per {unit}: Model(..., time_unit='{unit}')"
             fit = replace(fit, warnings=(*fit.warnings, text))
     if isinstance(start, FitResult) and (worse := _worse_than_start(fit, start)):
         fit = replace(fit, warnings=(worse, *fit.warnings))

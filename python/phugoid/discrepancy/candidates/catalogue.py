@@ -38,6 +38,7 @@ __all__ = ["Catalogue", "Names", "stem"]
 _COORDINATES = 3
 # Names of an angle of attack, by which alone it is known.
 _ANGLES_OF_ATTACK = ("alpha", "aoa", "angle_of_attack", "\N{GREEK SMALL LETTER ALPHA}")
+# Forms of an angle in its own equation of motion.
 _SINES = ("sine", "sine, cosine", "sine, twice")
 # What can be wrong with a condition, which is measured and not commanded: nothing that an actuator does.
 _OF_CONDITIONS = ("scale", "bias", "delay")
@@ -239,7 +240,9 @@ class Catalogue:
         yield from (term(form, *factors) for form, factors in self._of_rotation(place))
         for form in ("cube", "quadratic", "absolute"):
             yield from (term(form, v) for v in variables)
-        yield from (term(form, x) for x in self._angles_turned_at(place) for form in _SINES)
+        units = self.structure.model.variable_units
+        angles = [x for x, _ in self._driven_at(place) if units.get(x.symbol, "") == "rad"]
+        yield from (term(form, x) for x in angles for form in _SINES)
         yield from (term("root", v) for v in variables if self.structure.is_store(v))
         yield from (term("sign", v) for v in variables if v.speed or v.kind == "input")
         shown, base, words = self.structure.shown(place), stem(place), where(place)
@@ -257,18 +260,16 @@ class Catalogue:
             (self.names(f"{base}_frequency"),),
         )
 
-    def _angles_turned_at(self, place: Place) -> list[Variable]:
-        """Return the angles, in rad, whose acceleration is given at a place."""
-        units = self.structure.model.variable_units
-        angles = [(x, v) for x, v in self.structure.coordinates if units.get(x.symbol, "") == "rad"]
-        return [x for x, v in angles if self.structure.force_on(v.symbol) == place]
+    def _driven_at(self, place: Place) -> list[tuple[Variable, Variable]]:
+        """Return the positions, each with its rate, whose acceleration is given at a place."""
+        return [(x, v) for x, v in self.structure.coordinates if self.structure.force_on(v.symbol) == place]
 
     def _of_rotation(self, place: Place) -> Iterator[tuple[str, tuple[Variable, ...]]]:
         """Yield the forms and factors of forces by the rotation of others: an equation of motion of one coordinate
         holds positions times products of rates, not both its own (Lagrange's equations with a mass matrix that depends
         on the position)."""
         coordinates = self.structure.coordinates
-        own = next((v for _, v in coordinates if self.structure.force_on(v.symbol) == place), None)
+        own = next((v for _, v in self._driven_at(place)), None)
         if own is None or not 2 <= len(coordinates) <= _COORDINATES:
             return
         for x, _ in coordinates:

@@ -85,7 +85,7 @@ def headline(diagnosis: DiagnosisResult) -> str:
 
 
 def _minor(findings: Sequence[Finding]) -> str:
-    """Return sentences on minor findings: those that explain little, and those that may explain much by chance."""
+    """Return sentences on minor findings: they explain little, may explain by chance, or are doubtful."""
     little = [f.cause for f in findings if not f.explained > AssessmentSettings.minor]
     more = [f for f in findings if f.explained > AssessmentSettings.minor]
     open_ = [f.cause for f in more if not f.explained_interval[0] > 0.0]

@@ -13,8 +13,7 @@ from ...errors import joined
 from ...sensitivities.linearised import Linearised
 from ...time_unit import TimeUnit
 from ..candidates.candidate import Candidate, Effect, added_by_centre
-from ..candidates.hysteresis import FlexibleMode
-from .admissibility import is_physical, is_plausible
+from .admissibility import is_free_motion, is_physical, is_plausible
 from .confirmation import Confirmation, ConfirmationSettings, Found, Refitting, RefittingSettings
 from .evidence import Assessment, AssessmentSettings
 from .finding import ExtensionResult, Gain
@@ -26,12 +25,7 @@ __all__ = [
     "Search",
     "SearchResult",
     "SearchSettings",
-    "is_free_motion",
 ]
-
-
-# Ratio of the frequencies of a mode and of its free motion, at most: a line of a record of few periods is wide.
-_OF_A_MODE = 1.25
 
 
 @dataclass(frozen=True)
@@ -358,6 +352,8 @@ class Search:
         nearly as much: a lag of the input in place of a huge lagged damping, say."""
         for name in at.names:
             candidate = next(c for c in at.candidates if c.name == name)
+            if is_physical(at, candidate):
+                continue
             own = self.confirmation.explained(at, candidate)
             if own is None or is_plausible(at, candidate, own):
                 continue
@@ -366,8 +362,10 @@ class Search:
                 if r is at or r.names == at.names:
                     continue
                 (new,) = r.beside(others)
-                explained = self.confirmation.explained(r, new)
-                if not is_physical(r, new) or explained is None or explained.part < self.settings.nearly * own.part:
+                if not is_physical(r, new):
+                    continue
+                explained = self.confirmation.explained(r, new)  # last, for it takes a fit to the data held out
+                if explained is None or explained.part < self.settings.nearly * own.part:
                     continue
                 if not self._is_chance(r, new) and self.assessment.is_named(r, new, explained):
                     at = r
@@ -482,17 +480,6 @@ class Search:
         )
         gain = gain.as_fitted(base.fit, final.fit, base.linear.n_rows)
         return ExtensionResult(final.fit.model, final.fit, final.names, gain)
-
-
-def is_free_motion(at: Refit, candidate: Candidate) -> bool:
-    """Return whether a periodic disturbance may be the free motion of a lightly damped mode that a refit has beside it:
-    the mode begins at rest, and in the records it need not have."""
-    if getattr(candidate, "family", "") != "periodic":
-        return False
-    modes = [c for c in at.candidates if isinstance(c, FlexibleMode)]
-    (own,) = candidate.shape_names
-    ratios = [at.own.parameter(c.shape_names[0])[0] / at.own.parameter(own)[0] for c in modes]
-    return any(1.0 / _OF_A_MODE < ratio < _OF_A_MODE for ratio in ratios)
 
 
 def _fed_back(outputs: Sequence[str]) -> str:

@@ -115,6 +115,21 @@ def is_determined(at: Refit, candidate: Candidate) -> bool:
     return not error > abs(value)
 
 
+# Ratio of the frequencies of a mode and of its free motion, at most: a line of a record of few periods is wide.
+_OF_A_MODE = 1.25
+
+
+def is_free_motion(at: Refit, candidate: Candidate) -> bool:
+    """Return whether a periodic disturbance may be the free motion of a lightly damped mode that a refit has beside it:
+    the mode begins at rest, and in the records it need not have."""
+    if getattr(candidate, "family", "") != "periodic":
+        return False
+    modes = [c for c in at.candidates if getattr(c, "family", "") == "mode"]
+    (own,) = candidate.shape_names
+    ratios = [at.own.parameter(c.shape_names[0])[0] / at.own.parameter(own)[0] for c in modes]
+    return any(1.0 / _OF_A_MODE < ratio < _OF_A_MODE for ratio in ratios)
+
+
 def _cancelling(at: Refit, place: Place) -> float:
     """Return how much more a known part of what stands at a place varies than all of it: where known parts nearly
     cancel each other, as a turn rate and gravity in the sideslip of a turn, others may be as large; 1 at least."""

@@ -403,9 +403,9 @@ def _shape(r: Remainder) -> str:
 
 def _advice(r: Remainder) -> str:
     d = r.disturbance
-    if r.is_unknown and d.kind != "function":
-        return "Try a term of your own there, by candidates=."
     if r.is_unknown:
+        if d.kind != "function":
+            return "Try a term of your own there, by candidates=."
         what = "surface" if len(d.axes) > 1 else "curve"
         return f"Try a term of your own with the shape of this {what}, by candidates=."
     if d.kind == "event":

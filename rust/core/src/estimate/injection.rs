@@ -103,14 +103,13 @@ impl Estimation<'_> {
         let is_shown = |name: &str| outputs.iter().any(|y| y.symbols().iter().any(|s| &**s == name));
         let mut found: Vec<(usize, String, f64)> = Vec::new();
         for &(c, _) in injected {
-            let Some((i, slope)) = measured_alone(states, &outputs[c]) else { continue };
-            let hidden = states.iter().filter(|v| v.name != states[i].name && !is_shown(&v.name));
-            let factors = hidden.map(|v| (v, dynamics[i].derivative(&v.name).as_constant()));
-            let acting: Vec<_> = factors.filter(|(_, k)| *k != Some(0.0)).collect();
-            if let [(v, Some(k))] = acting[..]
-                && found.iter().all(|(_, name, _)| *name != v.name)
+            let Some((i, slope)) = measured_alone(&slopes_of(&outputs[c], states)) else { continue };
+            let mut acting = slopes_of(&dynamics[i], states);
+            acting.retain(|(v, _)| !is_shown(&states[*v].name));
+            if let Some((v, k)) = measured_alone(&acting)
+                && found.iter().all(|(_, name, _)| *name != states[v].name)
             {
-                found.push((c, v.name.clone(), k * slope));
+                found.push((c, states[v].name.clone(), k * slope));
             }
         }
         found
@@ -182,21 +181,17 @@ impl Estimation<'_> {
             if current().stops() {
                 break;
             }
-            let Some(mut end) = self.led_from(gain, &injection, poor, watch)? else { continue };
+            let Some(end) = self.led_from(gain, &injection, poor, watch)? else { continue };
             iterations += end.iterations;
             time += end.solution.time;
-            (end.iterations, end.solution.time) = (iterations, time);
-            let rank = |fit: &Fit| {
-                (fit.status.is_end(), if fit.feasible { fit.log_likelihood } else { f64::NEG_INFINITY })
-            };
-            if best.as_ref().is_none_or(|best| rank(&end) > rank(best)) {
+            if best.as_ref().is_none_or(|best| end.rank() > best.rank()) {
                 best = Some(end);
             }
             if best.as_ref().is_some_and(|best| !best.is_poor()) {
                 break;
             }
         }
-        Ok(best)
+        Ok(best.map(|fit| fit.after(iterations, time)))
     }
 
     /// Returns the same from this first gain on.
@@ -343,15 +338,11 @@ impl Estimation<'_> {
         }
         let (_, outputs) = self.model.expanded();
         let states = &self.model.states;
-        let slopes_of = |c: usize| -> Vec<(&str, Expr)> {
-            let slopes = states.iter().map(|s| (s.name.as_str(), outputs[c].derivative(&s.name)));
-            slopes.filter(|(_, d)| d.as_constant() != Some(0.0)).collect()
-        };
-        let alone = |c: usize| measured_alone(states, &outputs[c]).map(|(i, _)| states[i].name.as_str());
-        let followed: Vec<&str> = injection.outputs.iter().filter_map(|o| alone(o.0)).collect();
-        for &(c, interval) in &injection.outputs {
-            let mut slopes = slopes_of(c);
-            if alone(c).is_none() {
+        let of_outputs = injection.outputs.iter().map(|o| slopes_of(&outputs[o.0], states));
+        let of_outputs: Vec<Vec<(usize, Expr)>> = of_outputs.collect();
+        let followed: Vec<usize> = of_outputs.iter().filter_map(|s| measured_alone(s)).map(|m| m.0).collect();
+        for (&(c, interval), mut slopes) in injection.outputs.iter().zip(of_outputs) {
+            if measured_alone(&slopes).is_none() {
                 slopes.retain(|(state, _)| !followed.contains(state));
             }
             if slopes.is_empty() {
@@ -372,7 +363,7 @@ impl Estimation<'_> {
             let rate = if speed.is_some() { 2.0 * DAMPING * rate } else { rate };
             let error = rate * error / square;
             for (state, slope) in slopes {
-                let equation = model.dynamics.iter_mut().find(|e| e.name == state)?;
+                let equation = model.dynamics.iter_mut().find(|e| e.name == states[state].name)?;
                 equation.expr = (&equation.expr + slope * &error).simplified();
             }
             experiments.iter_mut().for_each(|run| add_measured(run, c));
@@ -388,14 +379,18 @@ impl Injection {
     }
 }
 
-/// Returns the number of the only state that an output depends on, and its factor, where that is a constant.
+/// Returns the derivatives of an output or an equation by the states that it depends on, each with the number of the state.
+fn slopes_of(e: &Expr, states: &[Variable]) -> Vec<(usize, Expr)> {
+    let slopes = states.iter().enumerate().map(|(i, s)| (i, e.derivative(&s.name)));
+    slopes.filter(|(_, d)| d.as_constant() != Some(0.0)).collect()
+}
+
+/// Returns the state of the only slope there is, and that slope, where it is a constant.
 ///
 /// Others with an influence on such a state tell no more of it, and may lose their slope, as lift does in a stall.
-fn measured_alone(states: &[Variable], output: &Expr) -> Option<(usize, f64)> {
-    let slopes = states.iter().enumerate().map(|(i, s)| (i, output.derivative(&s.name).as_constant()));
-    let acting: Vec<_> = slopes.filter(|(_, d)| *d != Some(0.0)).collect();
-    match acting[..] {
-        [(i, Some(slope))] => Some((i, slope)),
+fn measured_alone(slopes: &[(usize, Expr)]) -> Option<(usize, f64)> {
+    match slopes {
+        [(i, slope)] => slope.as_constant().map(|slope| (*i, slope)),
         _ => None,
     }
 }

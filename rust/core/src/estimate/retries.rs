@@ -146,11 +146,8 @@ impl Estimation<'_> {
             };
             iterations += found.iterations;
             time += found.solution.time;
-            let rank = |fit: &Fit| {
-                (fit.status.is_end(), if fit.feasible { fit.log_likelihood } else { f64::NEG_INFINITY })
-            };
             let stopped = found.status.was_stopped().then(|| (found.status, found.message.clone()));
-            if best.as_ref().is_none_or(|best| rank(&found) > rank(best)) {
+            if best.as_ref().is_none_or(|best| found.rank() > best.rank()) {
                 best = Some(found);
             }
             if let (Some(best), Some(stopped)) = (&mut best, stopped) {
@@ -158,10 +155,7 @@ impl Estimation<'_> {
                 break;
             }
         }
-        Ok(best.map(|mut fit| {
-            (fit.iterations, fit.solution.time) = (iterations, time);
-            fit
-        }))
+        Ok(best.map(|fit| fit.after(iterations, time)))
     }
 
     /// Whether another way may lead elsewhere: not from where a fit ended, where kinks are the reason, where a search from many
@@ -245,6 +239,17 @@ impl Fit {
             || self.status == Status::Acceptable
             || outputs().all(|c| self.r_squared(c).is_none_or(|r| r < POOR))
             || unexplained as f64 >= MANY * outputs().len() as f64
+    }
+
+    /// Returns what the better of two ends has more of: an end at an optimum, else the log-likelihood of a path that is a solution.
+    pub(super) fn rank(&self) -> (bool, f64) {
+        (self.status.is_end(), if self.feasible { self.log_likelihood } else { f64::NEG_INFINITY })
+    }
+
+    /// Returns the fit with the iterations and the time of all runs that led to it.
+    pub(super) fn after(mut self, iterations: usize, time: Duration) -> Self {
+        (self.iterations, self.solution.time) = (iterations, time);
+        self
     }
 
     /// The coefficient of determination of an output, about the mean of each record.

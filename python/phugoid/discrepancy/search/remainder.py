@@ -287,7 +287,8 @@ def _function_of_two(
     where none simulates data held out better, or is likelier than coloured noise."""
     at, where = of.at, of.disturbance.place
     equations = sorted((p for p in at.linear.places if p.kind == "equation"), key=lambda p: p.name)
-    places = [p for p in equations if p.name in known.known and (where.kind == "input" or p.name == where.name)]
+    # Noise of an input, or of a state as the forces have it, acts in whichever equations these forces are.
+    places = [p for p in equations if p.name in known.known and (where.kind != "equation" or p.name == where.name)]
     likeliest = max(functions_of_two(at, known.known, places), key=lambda h: h.merit, default=None)
     if likeliest is None or likeliest.merit < at.merit + s.margin:
         return None

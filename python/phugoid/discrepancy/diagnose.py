@@ -11,8 +11,8 @@ from functools import partial
 from typing import Any, TypeVar
 
 from ..data.experiment import Experiment
-from ..errors import DataError, EvaluationError, some
-from ..fit_result import ENDED_WELL, FitResult
+from ..errors import DataError, EvaluationError, joined, some
+from ..fit_result import ENDED_WELL, FitResult, dataset
 from ..modelling.model import Model
 from ..progress import StatusLine
 from ..sensitivities.tangents import collocated
@@ -39,7 +39,7 @@ from .search.refit import Refit, is_structured
 from .search.remainder import RemainderSettings
 from .search.restart import Restart, of_shared_terms, restarted, with_optimum
 from .search.scan import Scan
-from .search.segments import Segments, Thinned, segments_of, thinned
+from .search.segments import Segments, Thinned, fitted_to_all, segments_of, thinned
 from .search.sensor_fault import SensorFault, UnsignedSensor, sensor_faults, unsigned_sensor, without_faults
 from .search.stages import Inquiry, ranked, ranking_of, stages, words_of_inputs
 
@@ -53,6 +53,10 @@ _NOT_EXCITED = (
 _OF_THESE_RECORDS = (
     "Only in the records of the fit: {}. With it, the simulation of the validation records does not improve; the "
     "extended model does not contain it."
+)
+_TOGETHER = (
+    "No cause was found with the model estimated from the records of the fit alone, which misses those held out by far "
+    "more. All records together showed one: the model was estimated from {}, and nothing was held out."
 )
 
 
@@ -69,6 +73,10 @@ def _is_minor(search: Search, result: SearchResult, found: Found, kept: Refit) -
     minor = search.assessment.is_minor(found.explained, found.of_the_rest)
     return (bool(name) and name not in result.final.names) or little or minor
 
+
+# Part of the residuals' power on records held out that is predictable, and times the RMS of those of the fit, from
+# which on what is missing is searched for in all records together.
+_HIDDEN = 0.5, 1.5
 
 # How a search ended before its end, in words.
 _EARLY = {"interrupted": "The search was interrupted", "time limit": "The search reached its time limit"}
@@ -109,7 +117,8 @@ def diagnose(
     an output is the magnitude of what the model computes, the model with the magnitude is estimated and diagnosed;
     repeated samples of a sensor that is stuck or renewed at a lower rate are left out, and jumps of an angle by a full
     turn are removed. Where the model cannot be fitted to the validation records, blocks of the records are left out
-    in turn as without them. Long records are searched in windows, and a note says so.
+    in turn as without them. Where nothing is named and the model misses the validation records by far more than those
+    of the fit, all are searched together, with nothing held out. Long records are searched in windows. Notes say so.
 
     Raises DataError for a fit that is exact or of too short a record, and for a validation record without the channels;
     OptionError and ModelError for candidates and biases that cannot be.
@@ -139,6 +148,10 @@ def diagnose(
         if again is not None:
             other = _searched(again, candidates, free, step, deadline)
             found = found if other.is_open else other
+        together = _within(deadline, partial(_together, found, step), None)
+        if together is not None:
+            other = _searched(together, candidates, None, step, deadline)
+            found = other if other.explains_most else found
         records, state = found.records, found.state
         reported = _reported(records, state, deadline)
     with interrupts():
@@ -169,6 +182,7 @@ class _Records:
     base      the same, at an optimum; None where there is none.
     others    the validation records, like the records.
     faults, unsigned, restart, thin, parts, segments   what was done to come to this; None or empty where not needed.
+    together   whether the records held out are searched as well, and nothing is held out.
     """
 
     given: FitResult
@@ -181,6 +195,7 @@ class _Records:
     thin: Thinned | None = None
     parts: Parts | None = None
     segments: Segments | None = None
+    together: bool = False
 
     @property
     def causes(self) -> list[str]:
@@ -244,6 +259,19 @@ class _Searched:
         described = rest is not None and (rest.fitted is not None or not rest.is_unknown)
         return not (state.interrupted or named or described)
 
+    @property
+    def names_nothing(self) -> bool:
+        """Return whether the search came to its end without a term, an input or a change that is named."""
+        state = self.state
+        return not (state.interrupted or state.result.final.candidates or state.inputs or state.changes)
+
+    @property
+    def explains_most(self) -> bool:
+        """Return whether terms are named that explain most of the misfit."""
+        search, final = self.state.search, self.state.result.final
+        part = search.assessment.explained(search.cache.base, final) if final.candidates else None
+        return part is not None and part.part > search.settings.half
+
 
 def _searched(
     records: _Records,
@@ -285,6 +313,22 @@ def _over_segments(found: _Searched, step: Callable[[str], None]) -> _Records | 
     if pieces is None:
         return None
     return replace(records, fit=pieces.base.fit, base=pieces.base, others=pieces.validation, segments=pieces)
+
+
+def _together(found: _Searched, step: Callable[[str], None]) -> _Records | None:
+    """Return the records of a search that named nothing together with those held out, where the model is wrong by more
+    on these; None where it is not. Records that hardly excite what is missing hide it, and so do parameters that stand
+    in for it, with other values in each record."""
+    records, search = found.records, found.state.first
+    whole = records.parts is None and records.segments is None and not records.causes
+    if not (whole and found.names_nothing and search.cache.validation):
+        return None
+    assert records.base is not None  # it was searched
+    if not search.assessment.is_worse_elsewhere(records.base, *_HIDDEN):
+        return None
+    step("estimating from all records together")
+    base = fitted_to_all(records.base, records.others)
+    return None if base is None else replace(records, fit=base.fit, base=base, others=(), together=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -413,6 +457,7 @@ def _all_notes(found: _Searched, reported: _Reported) -> tuple[str, ...]:
     return (
         *([records.restart.words] if records.restart is not None else []),
         *([unfitted] if unfitted else []),
+        *([_TOGETHER.format(joined([e.name for e in dataset(records.fit)]))] if records.together else []),
         *_notes(scan, final, found.listed, others, found.free, reported.ended, search.settings.most),
         *state.result.remarks,
         *reported.laws,

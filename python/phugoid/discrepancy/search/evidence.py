@@ -264,11 +264,16 @@ class Assessment:
     def _is_wrong_elsewhere(self, at: Refit) -> bool:
         """Return whether a model is wrong on the validation records by much more than on those of the fit: what leaves
         that as it is has not been missed there."""
+        return self.is_worse_elsewhere(at, self.settings.error, self.settings.far)
+
+    def is_worse_elsewhere(self, at: Refit, least: float, times: float) -> bool:
+        """Return whether the past of the residuals of a model on the validation records predicts more than the part
+        ``least`` of their power, and their RMS is so many ``times`` that on the records of the fit."""
         linear = self._cache.on_validation(at)
-        if linear is None or not is_structured(Refit((), linear.fit), self.settings.error):
+        if linear is None or not is_structured(Refit((), linear.fit), least):
             return False
         before, after = at.rms, self.held_out_rms(at)
-        return any(after[n] > self.settings.far * before[n] for n in after)
+        return any(after[n] > times * before[n] for n in after)
 
     def explained(self, base: Refit, more: Refit) -> Explained | None:
         """Return the part of the misfit that a model explains more of than another, in free simulation of held-out

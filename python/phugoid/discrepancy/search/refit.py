@@ -364,7 +364,9 @@ def on_other_data(
     for start in starts:
         # From another model's path, or where only initial states are wrong, few iterations lead to this model's.
         few = best is not None or start is not starts[-1]
-        solver = Newton(max_iterations=_ITERATIONS, time_limit=limit) if few else Newton(time_limit=limit)
+        # Only the model that is diagnosed must be fitted there at any price.
+        most = _ITERATIONS if few else _PATIENT if near is not None else None
+        solver = Newton(time_limit=limit) if most is None else Newton(max_iterations=most, time_limit=limit)
         try:
             found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)
         except EvaluationError as error:  # a root of a level that noise takes below zero, say

@@ -1,6 +1,6 @@
 """Records as a diagnosis takes them: cut into segments, each with initial states of its own, where a simulation of the
 whole drifts away from them; fits that ended at no optimum, estimated again; thinned where they are sampled much faster
-than anything in them happens.
+than anything in them happens; taken together with those held out where one alone does not show what is missing.
 
 Of a system that integrates, is unstable, or stands in a closed loop, whose inputs go by what it does, a free simulation
 with a model that lacks something ends far from the record. To first order about such a motion next to nothing is true:
@@ -35,6 +35,7 @@ from .refit import Refit, fitted_to, is_structured, values_of
 __all__ = [
     "Segments",
     "Thinned",
+    "fitted_to_all",
     "fitted_to_segments",
     "segments_of",
     "short_segments",
@@ -122,6 +123,15 @@ def fitted_to_segments(base: Refit, most: int = _SHORT) -> tuple[Refit | None, i
     # The path is initialised again: that of the fit is the one that drifts.
     pieces = [piece for e in records for piece in _cut(e, length)]
     return fitted_to(Refit((), fit), pieces, start=values_of(fit), solver=None), length
+
+
+def fitted_to_all(base: Refit, validation: Sequence[Experiment]) -> Refit | None:
+    """Return the model of a fit estimated from its records and those held out; None where it cannot be, and where
+    initial states or parameters belong to a whole record."""
+    fit = base.fit
+    if any(p.per_experiment for p in fit.model.declared_parameters.values()) or fit.model.end_conditions:
+        return None
+    return fitted_to(Refit((), fit), [*dataset(fit), *validation], start=values_of(fit), solver=None)
 
 
 def _cut(e: Experiment, length: int) -> list[Experiment]:

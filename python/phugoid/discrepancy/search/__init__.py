@@ -389,6 +389,7 @@ class Search:
                 if not assess.is_named(at, c, explained[c.name], rest[c.name])
                 or self._is_random_walk(at, c)
                 or self._is_chance(at, c)
+                or self._follows_noise(at, c)
                 or is_free_motion(at, c)
             ]
             if not weak:
@@ -433,6 +434,11 @@ class Search:
         """Return whether a term, beside the others, gains no more in likelihood than chance gives."""
         without = self._without(at, candidate)
         return without is not None and self.assessment.gain(without, at) <= self.assessment.needed(at, candidate)
+
+    def _follows_noise(self, at: Refit, candidate: Candidate) -> bool:
+        """Return whether a term of an output, beside the others, follows the noise of that output."""
+        without = self._without(at, candidate)
+        return without is not None and self.assessment.follows_noise(without, at, candidate)
 
     def _is_random_walk(self, at: Refit, candidate: Candidate) -> bool:
         """Return whether a term of this record alone, beside the others, is no likelier than random walks of the

@@ -26,11 +26,12 @@ _Array = NDArray[np.float64]
 # Part of the power of an output's residuals that their past does not predict, from which on they are noise.
 _NOISE = 0.5
 # Samples before, from which the signal of a candidate is predicted; parts of the signal's power that must be predicted,
-# and not, to distinguish the two.
-_LAGS, _EACH = 10, 1e-4
+# and not, to distinguish the two: what is less is rounding. Noise is a small part of a signal that is hardly ever zero.
+_LAGS, _EACH = 10, 1e-9
 # By how much twice the log-likelihood of noise that is fed back must be ahead of that of a term; and below what its own
-# loss must be, for where both are there noise alone does not explain the signal.
-_AHEAD, _ALONE = 4.0, 9.0
+# loss must be, for where both are there noise alone does not explain the signal. But where the coefficient that was
+# estimated is mostly owed to the noise, what the term does besides is less than this part of it.
+_AHEAD, _ALONE, _OWED = 4.0, 9.0, 0.5
 
 
 def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
@@ -42,6 +43,7 @@ def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
         return False
     linear, seen = base.linear, base.own
     shape = {n: more.fit.parameters[n].value for n in candidate.shape_names}
+    estimate = more.fit.parameters[candidate.coefficients[0]].value
     signals = [candidate.signals(p, shape) for p in linear.points]
     (signal,) = seen.filter(linear.answers(candidate.place, signals))
     output = linear.model.output_names.index(candidate.place.name)
@@ -70,7 +72,8 @@ def follows_noise(base: Refit, more: Refit, candidate: Candidate) -> bool:
     # A term has one coefficient for both parts, noise that is fed back none for the first.
     apart = covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]
     of_term, of_noise = (found[0] - found[1]) ** 2 / apart, found[0] ** 2 / covariance[0, 0]
-    return bool(of_term > of_noise + _AHEAD and of_noise < _ALONE)
+    owed = found[0] * np.sign(estimate) < _OWED * abs(estimate)
+    return bool(of_term > of_noise + _AHEAD and (of_noise < _ALONE or owed))
 
 
 def _lagged(x: _Array) -> _Array:

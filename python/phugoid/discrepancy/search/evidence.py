@@ -145,10 +145,11 @@ class Assessment:
     def is_admissible(self, base: Refit, more: Refit) -> bool:
         """Return whether the data determine what a refit has more than another, and it follows no noise."""
         return all(
-            is_determined(more, c) and not self._follows_noise(base, more, c) for c in more.beside(base.candidates)
+            is_determined(more, c) and not self.follows_noise(base, more, c) for c in more.beside(base.candidates)
         )
 
-    def _follows_noise(self, base: Refit, more: Refit, candidate: Candidate) -> bool:
+    def follows_noise(self, base: Refit, more: Refit, candidate: Candidate) -> bool:
+        """Return whether a candidate of an output follows the noise of that output, beside the terms of a base."""
         key = candidate.name, base
         if key not in self._follows:
             self._follows[key] = found = follows_noise(base, more, candidate)

@@ -284,3 +284,25 @@ def test_play_before_a_load_encoder_is_named() -> None:
     d = ph.diagnose(ph.estimate(m, record(41, "one")), candidates=library, validation=record(42, "other"))
     assert [f.cause for f in named(d)] == ["load:backlash"], d.summary()
     assert named(d)[0].coefficient == pytest.approx(gear, rel=0.05)
+
+
+def _coil(seed: int, name: str) -> ph.Experiment:
+    """A coil that an inverter feeds, the dead time of which takes a voltage against the current."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 8.0, 0.01)
+    u = np.repeat(rng.uniform(-6.0, 6.0, t.size // 40), 40)
+    i = integrated(lambda x, u: (u - 2.0 * x - 0.7 * np.tanh(x / 0.02)) / 0.3, np.zeros(1), t, u)[:, 0]
+    return ph.Experiment(t, {"u": u}, {"i": i + 0.02 * rng.standard_normal(t.size)}, name=name, interpolation="hold")
+
+
+def test_a_voltage_against_the_current_is_named() -> None:
+    m = ph.Model("coil")
+    (i,) = m.states(i="A")
+    (u,) = m.inputs(u="V")
+    resistance, inductance = m.parameters(R=1.0, L=0.5)
+    m.dynamics(i=(u - resistance * i) / inductance)
+    m.outputs(i=i)
+    (found,) = named(ph.diagnose(ph.estimate(m, _coil(1, "a")), validation=_coil(2, "b")))
+    assert found.cause == "i':sign(i)"
+    assert found.coefficient == pytest.approx(-0.7 / 0.3, rel=0.03)
+    assert found.explained > 0.9

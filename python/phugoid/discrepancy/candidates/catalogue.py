@@ -244,7 +244,9 @@ class Catalogue:
         angles = [x for x, _ in self._driven_at(place) if units.get(x.symbol, "") == "rad"]
         yield from (term(form, x) for x in angles for form in _SINES)
         yield from (term("root", v) for v in variables if self.structure.is_store(v))
-        yield from (term("sign", v) for v in variables if v.speed or v.kind == "input")
+        # A current that flows either way loses the voltage of a brush, a diode or a dead time whatever its size.
+        own = [v for v in states if self.structure.is_store(v) and self.structure.force_on(v.symbol) == place]
+        yield from (term("sign", v) for v in variables if v.speed or v.kind == "input" or v in own)
         shown, base, words = self.structure.shown(place), stem(place), where(place)
         yield from (self._lagged(place, v) for v in variables)
         yield from self._near_the_ground(place)

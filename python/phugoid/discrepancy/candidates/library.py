@@ -82,17 +82,17 @@ def candidates(
     products and cubes of states and inputs, linear terms, squares and cubes of declared quantities that stand there and
     hold no parameters (an angle of slip), x^2 v for rates v, x^2 u for inputs u, centrifugal and Coriolis forces where
     two or three positions and their rates are states, sin(x), cos(x) and sin(2 x) of an angle that turns by more than 1
-    rad, x|x|, |x|, sign(x), square roots of what can be stored (a level, a pressure), first-order lags, friction that
-    is larger at rest, hysteresis, stall where the angle of attack acts, a lightly damped mode, what is periodic in a
-    position, a periodic disturbance, a limit of the whole where an input stands in it. States that go no further than a
-    limit. In outputs: bias, scale, a characteristic that is not straight, drift, delay, lag, clipping, play of a
-    position's sensor, linear terms, squares and products of rates, derivatives of rates, lags of inputs that act at
-    once. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of conditions
-    (`Model.conditions`) scale, bias and delay. Parameters of the state equations may change in the course of a record,
-    alone or several at one time, or with the integral of an input, and so may masses; rates saturate with what is
-    stored; forces decay with a position; what is in proportion to an amount may be so to another power of it.
-    Effects that the parameters of the model can represent are left out, and of candidates with the same effect those
-    remain whose family comes first in `FAMILIES`.
+    rad, x|x|, |x|, sign(x) of speeds, inputs and currents, square roots of what can be stored (a level, a pressure),
+    first-order lags, friction that is larger at rest, hysteresis, stall where the angle of attack acts, a lightly
+    damped mode, what is periodic in a position, a periodic disturbance, a limit of the whole where an input stands in
+    it. States that go no further than a limit. In outputs: bias, scale, a characteristic that is not straight, drift,
+    delay, lag, clipping, play of a position's sensor, linear terms, squares and products of rates, derivatives of
+    rates, lags of inputs that act at once. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag,
+    delay; of conditions (`Model.conditions`) scale, bias and delay. Parameters of the state equations may change in the
+    course of a record, alone or several at one time, or with the integral of an input, and so may masses; rates
+    saturate with what is stored; forces decay with a position; what is in proportion to an amount may be so to another
+    power of it. Effects that the parameters of the model can represent are left out, and of candidates with the same
+    effect those remain whose family comes first in `FAMILIES`.
 
     points     paths that the scales are taken from: centres of powers, widths of rounded corners, grids of time
                constants and frequencies. Without, those of `Scales`; ``library.on(points)`` does it later.

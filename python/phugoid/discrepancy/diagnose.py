@@ -74,9 +74,9 @@ def _is_minor(search: Search, result: SearchResult, found: Found, kept: Refit) -
     return (bool(name) and name not in result.final.names) or little or minor
 
 
-# Part of the residuals' power on records held out that is predictable, and times the RMS of those of the fit, from
-# which on what is missing is searched for in all records together.
-_HIDDEN = 0.5, 1.5
+# Part of the residuals' power that is predictable in the records of the fit, at most, and in those held out, at least,
+# and times the RMS of the former, for what is missing to be searched for in all records together.
+_HIDDEN = 0.5, 0.5, 1.5
 
 # How a search ended before its end, in words.
 _EARLY = {"interrupted": "The search was interrupted", "time limit": "The search reached its time limit"}
@@ -117,8 +117,8 @@ def diagnose(
     an output is the magnitude of what the model computes, the model with the magnitude is estimated and diagnosed;
     repeated samples of a sensor that is stuck or renewed at a lower rate are left out, and jumps of an angle by a full
     turn are removed. Where the model cannot be fitted to the validation records, blocks of the records are left out
-    in turn as without them. Where nothing is named and the model misses the validation records by far more than those
-    of the fit, all are searched together, with nothing held out. Long records are searched in windows. Notes say so.
+    in turn as without them. Where nothing is named and the model fits its records but not the validation records,
+    all are searched together, with nothing held out. Long records are searched in windows. Notes say so.
 
     Raises DataError for a fit that is exact or of too short a record, and for a validation record without the channels;
     OptionError and ModelError for candidates and biases that cannot be.
@@ -316,15 +316,16 @@ def _over_segments(found: _Searched, step: Callable[[str], None]) -> _Records | 
 
 
 def _together(found: _Searched, step: Callable[[str], None]) -> _Records | None:
-    """Return the records of a search that named nothing together with those held out, where the model is wrong by more
-    on these; None where it is not. Records that hardly excite what is missing hide it, and so do parameters that stand
-    in for it, with other values in each record."""
+    """Return the records of a search that named nothing together with those held out, where the model fits the former
+    and is wrong by more on the latter; None where it does not. Records that hardly excite what is missing hide it, and
+    so do parameters that stand in for it, with other values in each record."""
     records, search = found.records, found.state.first
     whole = records.parts is None and records.segments is None and not records.causes
     if not (whole and found.names_nothing and search.cache.validation):
         return None
     assert records.base is not None  # it was searched
-    if not search.assessment.is_worse_elsewhere(records.base, *_HIDDEN):
+    own, elsewhere, times = _HIDDEN
+    if is_structured(records.base, own) or not search.assessment.is_worse_elsewhere(records.base, elsewhere, times):
         return None
     step("estimating from all records together")
     base = fitted_to_all(records.base, records.others)

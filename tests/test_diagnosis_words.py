@@ -75,7 +75,9 @@ def test_a_finding_that_does_not_predict_is_doubted() -> None:
 def test_what_fits_without_predicting_is_no_rival() -> None:
     unexplained = dataclasses.replace(LAG, cause="", status="unexplained", explanation="the residuals hold more")
     assert finding_lines(unexplained)[0] == "The residuals hold more."
-    assert "What fits, but does not predict held-out data: CL:lag_q (gain +96.0)." in finding_lines(unexplained)
+    assert "What fits, but does not simulate held-out data better: CL:lag_q (gain +96.0)." in finding_lines(unexplained)
+    lost = dataclasses.replace(unexplained, held_out_gain=-14.2)
+    assert "What fits, but does not predict held-out data: CL:lag_q (gain +96.0)." in finding_lines(lost)
 
 
 def test_surrogates_among_causes_are_named() -> None:

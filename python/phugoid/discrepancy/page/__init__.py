@@ -208,7 +208,8 @@ def finding_lines(finding: Finding) -> list[str]:
             f"{name} (gain {with_sign(finding.alternatives[name])})" if name in finding.alternatives else name
             for name in finding.aliases
         ]
-        doubted = "is not proved" if finding.ringing else "does not predict held-out data"
+        predicted = "simulate held-out data better" if finding.held_out_gain > 0.0 else "predict held-out data"
+        doubted = "is not proved" if finding.ringing else f"does not {predicted}"
         label = "The data do not distinguish it from" if finding.cause else f"What fits, but {doubted}"
         if finding.is_drawn and not finding.cause:
             label = "Name of this candidate"

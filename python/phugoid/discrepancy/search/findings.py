@@ -48,10 +48,18 @@ _LISTED = 6
 _UNPHYSICAL = "; but its coefficient is outside the physical range"
 _OTHER_UNITS = ", as with a wrong sign or other units"
 _UNEXPLAINED = "the residuals are more than noise, but no candidate improves the prediction of held-out data"
+_WORSE = "the residuals are more than noise, but no candidate improves the free simulation of held-out data"
 _AGAIN = (
     "Repeat the same input: what repeats in the residuals is not noise. Then use a smaller and a larger input: they "
     "show what depends on amplitude."
 )
+
+
+def _why_unexplained(found: Found, time: TimeUnit) -> str:
+    """Return in words why no candidate explains a misfit."""
+    if found.ringing:
+        return _rings(found.ringing, time)
+    return _WORSE if found.held_out[0] > 0.0 else _UNEXPLAINED
 
 
 def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | None = None) -> Finding:
@@ -66,7 +74,7 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
             gain=found.gain,
             held_out_gain=found.held_out[0],
             threshold=found.threshold,
-            explanation=_rings(found.ringing, result.final.fit.model.time_unit) if found.ringing else _UNEXPLAINED,
+            explanation=_why_unexplained(found, result.final.fit.model.time_unit),
             advice=_AGAIN if found.ringing else "",
             alternatives=dict(found.alternatives),
             ringing=found.ringing,

@@ -46,8 +46,9 @@ __all__ = [
 # would try other ways to the optimum as well.
 _ITERATIONS, _PATIENT, _FROM_MEASURED = 40, 150, 199
 _SOLVER = Newton(max_iterations=_ITERATIONS)
-# In s and in times of the base fit: where its iterations take so long, the mesh is refined again and again.
-_SECONDS, _TIMES = 30.0, 20.0
+# In s and in times of the base fit: where its iterations take so long, the mesh is refined again and again, or the path
+# is lost and every step is tried many times.
+_SECONDS, _TIMES = 12.0, 20.0
 # The same for a fit to data held out, and times as large residuals as the fit's own with which another start is tried.
 _ELSEWHERE, _FAR = 10.0, 3.0
 # Delays are found to this part of their standard errors: to first order in what is left the rest is allowed for.

@@ -22,6 +22,7 @@ from ...residual_noise.whitening import Filter, Whitening
 from ...sensitivities import Points
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.whitened import Whitened, joint_whitening, own_whitening
+from ...simulation import simulate
 from ...solvers import check_time
 from ...solvers.newton import Newton
 from ..candidates.candidate import Candidate
@@ -51,6 +52,8 @@ _SOLVER = Newton(max_iterations=_ITERATIONS)
 _SECONDS, _TIMES = 12.0, 20.0
 # The same for a fit to data held out, and times as large residuals as the fit's own with which another start is tried.
 _ELSEWHERE, _FAR = 10.0, 3.0
+# Seconds that a simulation may take which gives such a fit a start.
+_SIMULATION = 2.0
 # Delays are found to this part of their standard errors: to first order in what is left the rest is allowed for.
 _SETTLED = 0.03
 # Within so many passes, since the scan gives good start values: iterations beyond diverge, or alternate over a kink.
@@ -356,6 +359,10 @@ def on_other_data(
     ]
     if near is not None:  # its path may be out of reach of this model: then the measured one
         starts.insert(0, _with_paths(started_from(near.fit, ()), refit.candidates, near.points, values))
+        # Another model's path says little of one whose forces jump, or change with the position many times a turn.
+        simulated = _simulated(model, near.fit, data)
+        if simulated is not None:
+            starts.insert(1, simulated)
     # A model that is as far off with another path as it is near it has no better branch.
     before = {} if near is None else Refit((), near.fit).rms
     usual = {n: max(rms, before.get(n, 0.0)) for n, rms in refit.rms.items()}
@@ -388,6 +395,25 @@ def on_other_data(
     if best is None:
         raise DataError(f"diagnose: the model cannot be fitted to the validation record: {reason}")
     return Linearised(best)
+
+
+def _simulated(model: Model, near: FitResult, data: Sequence[Experiment]) -> FitResult | None:
+    """Return a start with the paths of a model as simulated from its initial states as measured, else as a fit nearby
+    has them; None where they cannot be."""
+    values = {n: p.start for n, p in model.declared_parameters.items()}
+    right = model._right_hand_sides().items()
+    shown = {str(e) for (kind, _), e in right if kind == "output" and e.operation[0] == "symbol"}
+    hidden = [n for n in model.state_names if n not in shown]
+    records = []
+    try:
+        for record, e in zip(near.records, data, strict=True):
+            begun = {n: float(record.mesh_states[n][0]) for n in hidden if n in record.mesh_states}
+            run = simulate(model, values, e, initial=begun, time_limit=_SIMULATION)
+            paths = {n: np.interp(record.mesh_t, e.t, z) for n, z in run.states.items()}
+            records.append(replace(record, mesh_states=paths))
+    except PhugoidError:
+        return None
+    return replace(started_from(near, ()), records=records)
 
 
 def gain_on_other_data(base: Linearised, more: Linearised) -> HeldOut:

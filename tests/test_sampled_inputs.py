@@ -67,6 +67,7 @@ def test_the_time_of_a_step_between_two_samples_is_estimated() -> None:
     assert np.all(np.abs(error) < 4.0 * found.marginal.deviations + 0.02)
     assert np.median(found.marginal.deviations) < 0.1
     assert 0.1 < found.marginal.variance < 0.8  # 1/3 where steps come at any time
+    assert found.on([], None) == []  # a diagnosis without data held out
 
 
 @pytest.mark.parametrize("seed", [11, 21])

@@ -261,9 +261,10 @@ class _Searched:
 
     @property
     def names_nothing(self) -> bool:
-        """Return whether the search came to its end without a term, an input or a change that is named."""
+        """Return whether the search came to its end without a term, an input or a change that is found."""
         state = self.state
-        return not (state.interrupted or state.result.final.candidates or state.inputs or state.changes)
+        found = state.result.final.candidates or state.inputs or state.sampled or state.changes
+        return not (state.interrupted or found)
 
     @property
     def explains_most(self) -> bool:

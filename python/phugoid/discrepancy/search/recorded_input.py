@@ -353,7 +353,7 @@ def _intervals(data: Sequence[Experiment], names: Sequence[str]) -> _Intervals |
     for name in names:
         if any(e.interpolation_of(name) != "linear" or e.signal(name) is not None for e in data):
             continue
-        span = max(float(e.input(name).max()) for e in data) - min(float(e.input(name).min()) for e in data)
+        span = float(np.ptp(np.concatenate([e.input(name) for e in data]))) if data else 0.0
         if span > 0.0:
             sizes = [_jumps(e.input(name)) / span for e in data]
             count = sum(int((s > _JUMP).sum()) for s in sizes)

@@ -290,7 +290,7 @@ def _coil(seed: int, name: str) -> ph.Experiment:
     """A coil that an inverter feeds, the dead time of which takes a voltage against the current."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 8.0, 0.01)
-    u = np.repeat(rng.uniform(-6.0, 6.0, t.size // 40), 40)
+    u = steps(rng, t, -6.0, 6.0, 0.4)
     i = integrated(lambda x, u: (u - 2.0 * x - 0.7 * np.tanh(x / 0.02)) / 0.3, np.zeros(1), t, u)[:, 0]
     return ph.Experiment(t, {"u": u}, {"i": i + 0.02 * rng.standard_normal(t.size)}, name=name, interpolation="hold")
 

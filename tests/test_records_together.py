@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from rigs import named, steps
 
 import phugoid as ph
 
@@ -23,7 +24,7 @@ def motor(limit: float = np.inf) -> ph.Model:
 def record(amplitude: float, seed: int, limit: float, name: str) -> ph.Experiment:
     """Return a record of steps that change in size."""
     rng, t = np.random.default_rng(seed), np.arange(0.0, 20.0, 0.02)
-    u = amplitude * rng.uniform(-1.0, 1.0, 20)[(t // 1.0).astype(int)]
+    u = steps(rng, t, -amplitude, amplitude, 1.0)
     run = ph.simulate(
         motor(limit), {"a": 2.0, "b": 5.0}, ph.Experiment(t, {"volts": u}, {}), initial={"rate": 0.0, "angle": 0.0}
     )
@@ -43,8 +44,8 @@ def diagnosed(limit: float) -> ph.Diagnosis:
 
 def test_what_only_the_records_held_out_excite_is_found_in_all_together() -> None:
     d = diagnosed(1.6)
-    assert [f.cause for f in d.findings if f.status == "named"] == ["volts:saturation"]
-    (found,) = (f for f in d.findings if f.status == "named")
+    (found,) = named(d)
+    assert found.cause == "volts:saturation"
     assert abs(found.coefficient - 1.6) < 0.05
     assert any("estimated from gentle and hard, and nothing was held out" in note for note in d.notes)
     assert [e.name for e in d.extend().fit.experiments] == ["gentle", "hard"]

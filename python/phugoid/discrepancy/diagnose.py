@@ -269,9 +269,8 @@ class _Searched:
     @property
     def explains_most(self) -> bool:
         """Return whether terms are named that explain most of the misfit."""
-        search, final = self.state.search, self.state.result.final
-        part = search.assessment.explained(search.cache.base, final) if final.candidates else None
-        return part is not None and part.part > search.settings.half
+        search = self.state.search
+        return search.named_part(self.state.result.final) > search.settings.half
 
 
 def _searched(

@@ -152,8 +152,13 @@ class Search:
         base, full, final = self.cache.base, result.full, result.final
         if full.names == final.names or not is_structured(base, self.settings.error):
             return False
-        part = self.assessment.explained(base, final) if final.names else None
-        return part is None or part.part < self.settings.half
+        return self.named_part(final) < self.settings.half
+
+    def named_part(self, final: Refit) -> float:
+        """Return the part of the misfit that named terms explain together; 0 where there are none, or that is not
+        known."""
+        part = self.assessment.explained(self.cache.base, final) if final.names else None
+        return 0.0 if part is None else part.part
 
     def _searched(self, steps: list[Refit]) -> Found | None:
         """Append refits with one term more each, as long as one is accepted; return what remains unexplained."""

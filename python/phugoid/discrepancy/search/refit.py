@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -16,6 +16,7 @@ from ...errors import DataError, EvaluationError, ModelError, PhugoidError
 from ...estimation import estimate
 from ...fit_result import ENDED_WELL, FitResult, dataset, mean_square
 from ...frozen_model import estimates_of, freed_by_default, freeze_model, freeze_noise, mesh_for
+from ...initialisation import measured_states
 from ...modelling.model import Model
 from ...parameters import Estimates
 from ...residual_noise.whitening import Filter, Whitening
@@ -354,24 +355,26 @@ def on_other_data(
     known = {n: [e.value for e in estimates_of(fit.parameters, [n]).values()] for n in free}
     mesh = mesh_for(fit, data)
     first = {n: float(np.mean(v)) for n, v in known.items() if v}
-    starts: list[FitResult | dict[str, float]] = [
-        replace(started_from(fit, first), records=[]) if fit.smoothing else first
-    ]
-    if near is not None:  # its path may be out of reach of this model: then the measured one
-        starts.insert(0, _with_paths(started_from(near.fit, ()), refit.candidates, near.points, values))
-        # Another model's path says little of one whose forces jump, or change with the position many times a turn.
-        simulated = _simulated(model, near.fit, data)
-        if simulated is not None:
-            starts.insert(1, simulated)
+
+    def starts() -> Iterator[tuple[FitResult | dict[str, float], bool]]:
+        """Yield starts, and whether each is the last, when it is needed."""
+        if near is not None:  # its path may be out of reach of this model: then the measured one
+            yield _with_paths(started_from(near.fit, ()), refit.candidates, near.points, values), False
+            # Another model's path says little of one whose forces jump, or change with the position many times a turn.
+            simulated = _simulated(model, near.fit, data)
+            if simulated is not None:
+                yield simulated, False
+        yield replace(started_from(fit, first), records=[]) if fit.smoothing else first, True
+
     # A model that is as far off with another path as it is near it has no better branch.
     before = {} if near is None else Refit((), near.fit).rms
     usual = {n: max(rms, before.get(n, 0.0)) for n, rms in refit.rms.items()}
     best: FitResult | None = None
     reason = ""
     limit = max(_ELSEWHERE, _TIMES * fit.time)
-    for start in starts:
+    for start, last in starts():
         # From another model's path, or where only initial states are wrong, few iterations lead to this model's.
-        few = best is not None or start is not starts[-1]
+        few = best is not None or not last
         # Only the model that is diagnosed must be fitted there at any price.
         most = _ITERATIONS if few else _PATIENT if near is not None else None
         solver = Newton(time_limit=limit) if most is None else Newton(max_iterations=most, time_limit=limit)
@@ -401,9 +404,8 @@ def _simulated(model: Model, near: FitResult, data: Sequence[Experiment]) -> Fit
     """Return a start with the paths of a model as simulated from its initial states as measured, else as a fit nearby
     has them; None where they cannot be."""
     values = {n: p.start for n, p in model.declared_parameters.items()}
-    right = model._right_hand_sides().items()
-    shown = {str(e) for (kind, _), e in right if kind == "output" and e.operation[0] == "symbol"}
-    hidden = [n for n in model.state_names if n not in shown]
+    measured = measured_states(model, values)
+    hidden = [n for n in model.state_names if n not in measured]
     records = []
     try:
         for record, e in zip(near.records, data, strict=True):

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
 from ...data.filtering import EVEN, Signal
-from ...fit_result import dataset, mean_square
+from ...fit_result import FitResult, dataset, mean_square
 from ...residual_noise import resolution_of
 from ...residual_noise.whitening import Whitening
 from ..candidates.model_structure import ModelStructure
@@ -114,10 +114,9 @@ def fitted_to_segments(base: Refit, most: int = _SHORT) -> tuple[Refit | None, i
     """Return the model of a fit estimated from segments of its records, ``most`` of them or fewer, and the number of
     their samples; None where that is not possible."""
     fit, records = base.fit, dataset(base.fit)
-    own = [n for n, p in fit.model.declared_parameters.items() if p.per_experiment]
     samples = sum(e.n for e in records)
     count = min(most, samples // _SAMPLES)
-    if own or fit.model.end_conditions or count < 2 * len(records):
+    if _has_own(fit) or count < 2 * len(records):
         return None, 0
     length = -(-samples // count)
     # The path is initialised again: that of the fit is the one that drifts.
@@ -129,9 +128,14 @@ def fitted_to_all(base: Refit, validation: Sequence[Experiment]) -> Refit | None
     """Return the model of a fit estimated from its records and those held out; None where it cannot be, and where
     initial states or parameters belong to a whole record."""
     fit = base.fit
-    if any(p.per_experiment for p in fit.model.declared_parameters.values()) or fit.model.end_conditions:
+    if _has_own(fit):
         return None
     return fitted_to(Refit((), fit), [*dataset(fit), *validation], start=values_of(fit), solver=None)
+
+
+def _has_own(fit: FitResult) -> bool:
+    """Return whether initial states or parameters belong to a whole record."""
+    return bool(fit.model.end_conditions) or any(p.per_experiment for p in fit.model.declared_parameters.values())
 
 
 def _cut(e: Experiment, length: int) -> list[Experiment]:

@@ -39,9 +39,10 @@ from .search.refit import Refit, is_structured
 from .search.remainder import RemainderSettings
 from .search.restart import Restart, of_shared_terms, restarted, with_optimum
 from .search.scan import Scan
-from .search.segments import Segments, Thinned, fitted_to_all, segments_of, thinned
+from .search.segments import Segments, Thinned, segments_of, thinned
 from .search.sensor_fault import SensorFault, UnsignedSensor, sensor_faults, unsigned_sensor, without_faults
 from .search.stages import Inquiry, ranked, ranking_of, stages, words_of_inputs
+from .search.surrogates import with_held_out
 
 __all__ = ["diagnose"]
 
@@ -328,7 +329,7 @@ def _together(found: _Searched, step: Callable[[str], None]) -> _Records | None:
     if is_structured(records.base, own) or not search.assessment.is_worse_elsewhere(records.base, elsewhere, times):
         return None
     step("estimating from all records together")
-    base = fitted_to_all(records.base, records.others)
+    base = with_held_out(search, records.base)
     return None if base is None else replace(records, fit=base.fit, base=base, others=(), together=True)
 
 

@@ -1,6 +1,6 @@
 """Records as a diagnosis takes them: cut into segments, each with initial states of its own, where a simulation of the
 whole drifts away from them; fits that ended at no optimum, estimated again; thinned where they are sampled much faster
-than anything in them happens; taken together with those held out where one alone does not show what is missing.
+than anything in them happens.
 
 Of a system that integrates, is unstable, or stands in a closed loop, whose inputs go by what it does, a free simulation
 with a model that lacks something ends far from the record. To first order about such a motion next to nothing is true:
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
 from ...data.filtering import EVEN, Signal
-from ...fit_result import FitResult, dataset, mean_square
+from ...fit_result import dataset, mean_square
 from ...residual_noise import resolution_of
 from ...residual_noise.whitening import Whitening
 from ..candidates.model_structure import ModelStructure
@@ -35,7 +35,6 @@ from .refit import Refit, fitted_to, is_structured, values_of
 __all__ = [
     "Segments",
     "Thinned",
-    "fitted_to_all",
     "fitted_to_segments",
     "segments_of",
     "short_segments",
@@ -114,28 +113,15 @@ def fitted_to_segments(base: Refit, most: int = _SHORT) -> tuple[Refit | None, i
     """Return the model of a fit estimated from segments of its records, ``most`` of them or fewer, and the number of
     their samples; None where that is not possible."""
     fit, records = base.fit, dataset(base.fit)
+    own = [n for n, p in fit.model.declared_parameters.items() if p.per_experiment]
     samples = sum(e.n for e in records)
     count = min(most, samples // _SAMPLES)
-    if _has_own(fit) or count < 2 * len(records):
+    if own or fit.model.end_conditions or count < 2 * len(records):
         return None, 0
     length = -(-samples // count)
     # The path is initialised again: that of the fit is the one that drifts.
     pieces = [piece for e in records for piece in _cut(e, length)]
     return fitted_to(Refit((), fit), pieces, start=values_of(fit), solver=None), length
-
-
-def fitted_to_all(base: Refit, validation: Sequence[Experiment]) -> Refit | None:
-    """Return the model of a fit estimated from its records and those held out; None where it cannot be, and where
-    initial states or parameters belong to a whole record."""
-    fit = base.fit
-    if _has_own(fit):
-        return None
-    return fitted_to(Refit((), fit), [*dataset(fit), *validation], start=values_of(fit), solver=None)
-
-
-def _has_own(fit: FitResult) -> bool:
-    """Return whether initial states or parameters belong to a whole record."""
-    return bool(fit.model.end_conditions) or any(p.per_experiment for p in fit.model.declared_parameters.values())
 
 
 def _cut(e: Experiment, length: int) -> list[Experiment]:

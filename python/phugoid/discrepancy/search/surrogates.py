@@ -44,6 +44,7 @@ __all__ = [
     "SurrogateSettings",
     "is_motion",
     "persistence",
+    "with_held_out",
     "without_surrogates",
 ]
 
@@ -213,7 +214,7 @@ def _differing(search: Search, final: Refit, s: SurrogateSettings) -> tuple[list
     if together is None or together.part >= s.whole:
         return [], None
     cache.watch("comparing what was found with all records together")
-    every = _with_held_out(search, final)
+    every = with_held_out(search, final)
     if every is None:
         return [], None
     likelier = _likelier_shapes(search, every, together, s)
@@ -227,7 +228,7 @@ def _differing(search: Search, final: Refit, s: SurrogateSettings) -> tuple[list
     return found, Remainder(_beside(every, candidate, most), every, most.merit - every.merit, float("nan"))
 
 
-def _with_held_out(search: Search, at: Refit) -> Refit | None:
+def with_held_out(search: Search, at: Refit) -> Refit | None:
     """Return the model of a refit estimated from the records and the data held out together; what is estimated again
     on other data has a value in each. None where there is no such fit."""
     model = at.fit.model
@@ -252,7 +253,7 @@ def _likelier_shapes(search: Search, at: Refit, together: Explained, s: Surrogat
     terms = [c for c in at.candidates if isinstance(c, Effect) and is_function(c)]
     every = {c.name: likeliest_function(at, c.place, c.variables) for c in terms}
     ahead = {n: h for n, h in every.items() if h is not None and h.merit >= at.merit + s.margin}
-    base = _with_held_out(search, search.cache.base) if ahead else None
+    base = with_held_out(search, search.cache.base) if ahead else None
     if base is None:
         return {}
     without, misfit = Simulated.of(at.linear), Misfitting.of(base.linear)

@@ -238,8 +238,8 @@ impl Estimation<'_> {
                 let initial = match (regression, near) {
                     _ if multipliers.is_some() => Initial::Start,
                     (false, _) if paths => Initial::Paths,
+                    (regression, true) => Initial::Nearby { regression },
                     (false, _) => Initial::Start,
-                    (true, true) => Initial::Regression,
                     (true, false) => Initial::Places,
                 };
                 let multipliers = multipliers.map(|m| &m.constraints[..]);

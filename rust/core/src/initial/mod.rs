@@ -29,6 +29,18 @@ pub enum Initial {
     Places,
     /// Steps along paths that satisfy the equations, as far as they lead: for states that are not measured, and few samples.
     Paths,
+    /// Nothing, or a regression, where the start is another model's fit. Where the loop is not near an optimum soon, the path that
+    /// it has torn is given up for steps along paths that satisfy the equations.
+    Nearby {
+        /// Whether a regression goes first.
+        regression: bool,
+    },
+}
+
+impl Initial {
+    fn regresses(self) -> bool {
+        matches!(self, Initial::Regression | Initial::Places | Initial::Nearby { regression: true })
+    }
 }
 
 type Watch<'w> = dyn FnMut(&Iteration) -> Control + 'w;
@@ -65,7 +77,8 @@ fn best(
     let program = Program::new(nlp, start);
     let point = Point::first(&program, start)?;
     if initial == Initial::Paths {
-        let Along { mut newton, mut ending, consistent } = along_paths(program, point, settings, watch)?;
+        let newton = Newton::new(program, point, None, settings);
+        let Along { mut newton, mut ending, consistent } = along_paths(newton, settings, watch)?;
         if consistent {
             // A path that leaves the equations may find a way where a consistent one has none, as from one period of an
             // oscillation to another. Not long, where it leads nowhere.
@@ -79,6 +92,9 @@ fn best(
     // What a run allocates takes its time, too.
     if let Some(solution) = Solution::before_a_step(&program, &point, multipliers) {
         return Ok(solution);
+    }
+    if let Initial::Nearby { .. } = initial {
+        return nearby(nlp, start, Newton::new(program, point, multipliers, settings), watch);
     }
     let mut newton = Newton::new(program, point, multipliers, settings);
     let mut ending = newton.minimise(watch)?;
@@ -96,7 +112,7 @@ fn best(
             }
         }
     }
-    if initial != Initial::Start && ending.status.lost() && !current().stops() {
+    if initial.regresses() && ending.status.lost() && !current().stops() {
         // A regression may lead astray, as where parameters are in exponents. Once more without.
         let program = Program::new(nlp, start);
         let point = Point::first(&program, start)?;
@@ -106,6 +122,48 @@ fn best(
         newton = again;
     }
     Ok(newton.finish(ending))
+}
+
+/// Iterations after which a loop from a start nearby should be near an optimum, and most that follow along consistent paths.
+const SOON: usize = 20;
+const ALONG: usize = 60;
+
+/// How a run from a start nearby ended: the loop from `newton`, and where that is not near an optimum soon, steps along paths that
+/// satisfy the equations, from the start.
+fn nearby<'a>(
+    nlp: &'a dyn Separable,
+    start: &[f64],
+    mut newton: Newton<'a>,
+    watch: &mut Watch<'_>,
+) -> Result<Solution, NotFinite> {
+    let most = newton.settings().max_iterations;
+    newton.limit_iterations(most.min(SOON));
+    let mut ending = newton.minimise(watch)?;
+    let spent = ending.status == Status::IterationLimit && newton.iterations() < most;
+    newton.limit_iterations(most);
+    if spent && newton.is_near() {
+        ending = newton.minimise(watch)?;
+    } else if spent || ending.status.lost() && !current().stops() {
+        let program = Program::new(nlp, start);
+        let point = Point::first(&program, start)?;
+        let settings = newton.settings().clone().max_iterations(most.min(newton.iterations() + ALONG));
+        let mut other = Newton::new(program, point, None, &settings);
+        other.take_over(&mut newton);
+        let Along { newton: mut other, ending: end, .. } = along_paths(other, &settings, watch)?;
+        if rank(end.status, &other) < rank(ending.status, &newton) || end.status.was_stopped() {
+            return Ok(other.finish(end));
+        }
+        newton.take_over(&mut other);
+        if spent && newton.program().stopped().is_none() {
+            ending = newton.minimise(watch)?;
+        }
+    }
+    Ok(newton.finish(ending))
+}
+
+/// Ends that are better come first: an optimum, and a greater likelihood.
+fn rank(status: Status, run: &Newton<'_>) -> (bool, f64) {
+    (status.lost() || status.unfinished(), run.point().objective)
 }
 
 /// Most steps from the end of an approach to that of the loop.
@@ -131,13 +189,11 @@ struct Along<'a> {
 /// fast enough, the likelihood is flat there and says nothing of what lies beyond: each is started once more from the other
 /// half of its range.
 fn along_paths<'a>(
-    program: Program<'a>,
-    point: Point,
+    mut newton: Newton<'a>,
     settings: &Settings,
     watch: &mut Watch<'_>,
 ) -> Result<Along<'a>, NotFinite> {
-    let nlp = program.nlp;
-    let mut newton = Newton::new(program, point, None, settings);
+    let nlp = newton.program().nlp;
     let mut ending = match approached(nlp, &mut newton, settings, watch)? {
         Some(ending) => ending,
         None => {
@@ -224,7 +280,7 @@ fn begin<'a>(
     point: Point,
     initial: Initial,
 ) -> (Point, Option<Point>) {
-    if initial == Initial::Start {
+    if !initial.regresses() {
         return (point, None);
     }
     let Some(mut regression) = Regression::new(nlp, program, point.clone()) else { return (point, None) };
@@ -280,7 +336,6 @@ fn challenge<'a>(
     let mut other = Newton::new(program, point, None, settings);
     other.take_over(newton);
     let end = other.minimise(watch)?;
-    let rank = |s: Status, run: &Newton<'_>| (s.lost() || s.unfinished(), run.point().objective);
     if rank(end.status, &other) < rank(ending.status, newton) {
         *newton = other;
         return Ok(end);

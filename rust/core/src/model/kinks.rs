@@ -31,7 +31,7 @@ enum Place {
 
 impl Model {
     /// The operations with a kink or a jump (abs, sign, min, max and comparisons) that act on states, in state equations
-    /// and in the quantities that these use.
+    /// and in the quantities that these use. In x|x| there is none.
     ///
     /// ```
     /// let mut m = phugoid::Model::new("friction");
@@ -110,10 +110,9 @@ impl Model {
         let mut found = Vec::new();
         for place in self.places() {
             let Equation { name, expr, .. } = self.at(place);
-            let mut seen: HashSet<Expr> = HashSet::new();
+            let mut left = with_kinks(expr);
             expr.visit(|e| {
-                let moves = || e.symbols().iter().any(|s| moving.contains(s));
-                if operation(e).is_some() && moves() && seen.insert(e.clone()) {
+                if left.remove(e) && e.symbols().iter().any(|s| moving.contains(s)) {
                     found.push((place, e.clone()));
                 }
             });
@@ -130,6 +129,59 @@ fn operation(expr: &Expr) -> Option<Op> {
     match expr.node() {
         Node::Apply(op @ (Op::Abs | Op::Sign | Op::Min | Op::Max | Op::Lt | Op::Le), _) => Some(*op),
         _ => None,
+    }
+}
+
+/// Returns the operations with a kink or a jump of an expression, without those that factors make smooth: x|x|, as in a quadratic
+/// drag, and x² sign(x) have continuous derivatives.
+fn with_kinks(expr: &Expr) -> HashSet<Expr> {
+    let (mut found, mut seen) = (HashSet::new(), HashSet::new());
+    let mut stack = vec![expr];
+    while let Some(e) = stack.pop() {
+        if !seen.insert(e) {
+            continue;
+        }
+        let (factors, others) = factors_of(e);
+        stack.extend(others);
+        for factor in &factors {
+            let times = |x: &Expr| factors.iter().map(|f| times_in(x, f)).sum::<f64>();
+            let smooth = match (factor.node(), factor.args()) {
+                (Node::Apply(Op::Abs, _), [x]) => times(x) >= 1.0,
+                (Node::Apply(Op::Sign, _), [x]) => times(x) >= 2.0,
+                _ => false,
+            };
+            if operation(factor).is_some() && !smooth {
+                found.insert((*factor).clone());
+            }
+            stack.extend(factor.args());
+        }
+    }
+    found
+}
+
+/// Returns the factors of a product, and the denominators beside them; another expression is its own factor.
+fn factors_of(expr: &Expr) -> (Vec<&Expr>, Vec<&Expr>) {
+    let (mut factors, mut denominators, mut stack) = (Vec::new(), Vec::new(), vec![expr]);
+    while let Some(e) = stack.pop() {
+        match (e.node(), e.args()) {
+            (Node::Apply(Op::Mul, _), [a, b]) => stack.extend([a, b]),
+            (Node::Apply(Op::Neg, _), [a]) => stack.push(a),
+            (Node::Apply(Op::Div, _), [a, b]) => {
+                stack.push(a);
+                denominators.push(b);
+            }
+            _ => factors.push(e),
+        }
+    }
+    (factors, denominators)
+}
+
+/// Returns how often a factor holds an expression: its exponent in a power.
+fn times_in(x: &Expr, factor: &Expr) -> f64 {
+    match (factor.node(), factor.args()) {
+        _ if factor == x => 1.0,
+        (Node::Apply(Op::Pow, _), [base, exponent]) if base == x => exponent.as_constant().unwrap_or(0.0),
+        _ => 0.0,
     }
 }
 

@@ -69,6 +69,20 @@ impl<'a> Newton<'a> {
         &self.iterate.point
     }
 
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// Sets the most iterations, counted from the first of all runs.
+    pub fn limit_iterations(&mut self, most: usize) {
+        self.settings.max_iterations = most;
+    }
+
+    /// Whether the last step that was computed promises little.
+    pub fn is_near(&self) -> bool {
+        self.history.last().is_some_and(|line| line.promise < NEAR)
+    }
+
     /// Number of the last iteration.
     pub fn iterations(&self) -> usize {
         self.history.last().map_or(0, |line| line.number)
@@ -139,6 +153,9 @@ impl<'a> Newton<'a> {
             }
             if line.number >= settings.max_iterations {
                 return Ok(Status::IterationLimit.into());
+            }
+            if let Some(ending) = Ending::stalled(history, &iterate.point) {
+                return Ok(ending);
             }
             if promise.gain < NEAR
                 && let Some(ending) = sizes.crawling(history, program, &iterate.point, step)
@@ -241,6 +258,5 @@ fn stuck(
     if system.damping.raise(1e-4) {
         return None;
     }
-    let infeasible = iterate.point.worst > 1e-6;
-    Some(if infeasible { Status::Infeasible } else { Status::Failed }.into())
+    Some(Ending::without_progress(&iterate.point))
 }

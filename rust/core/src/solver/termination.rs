@@ -16,6 +16,12 @@ const ENDLESS: f64 = 1e15;
 /// Steps that need damping, among so many, and together gain less than this in log-likelihood: a valley without
 /// an end in sight.
 const VALLEY: (usize, usize, f64) = (10, 40, 0.1);
+/// So many steps in a row, none of which is longer than this part of a full one: the merit function has led the path to where
+/// its linearisation holds no farther, and hundreds of such steps would lead nowhere.
+const STALLED: (usize, f64) = (10, 0.05);
+
+/// Largest defect, in units of its state, of a path that satisfies the equations but for the last steps.
+const FEASIBLE: f64 = 1e-6;
 
 /// How a run ends, with what there is to say of it.
 #[derive(Debug)]
@@ -52,6 +58,20 @@ impl Ending {
             }
             NoStep::Singular(error) => Ending::new(Status::Failed, error.to_string()),
         }
+    }
+
+    /// The end where steps have become so short that the path no longer moves.
+    pub(super) fn stalled(history: &[Iteration], point: &Point) -> Option<Ending> {
+        let (count, longest) = STALLED;
+        // The first line is the start, which no step led to.
+        let recent = history.len().checked_sub(count).filter(|first| *first > 0)?;
+        let short = history[recent..].iter().all(|line| line.step < longest);
+        short.then(|| Ending::without_progress(point))
+    }
+
+    /// Where no step helps.
+    pub(super) fn without_progress(point: &Point) -> Ending {
+        if point.worst > FEASIBLE { Status::Infeasible } else { Status::Failed }.into()
     }
 
     /// Where nothing is left to gain: is it an optimum?

@@ -58,6 +58,24 @@ fn kinks_of_inputs_of_time_and_of_outputs_alone_are_none() {
 }
 
 #[test]
+fn factors_make_a_kink_smooth() {
+    let smooth: [fn(&Expr, &Expr) -> Expr; 3] = [
+        |x, u| -0.3 * x * x.abs() / (1.0 + u),
+        |x, _| -(x - 2.0) * 0.1 * (x - 2.0).abs(),
+        |x, _| x.pow(2.0) * x.sign(),
+    ];
+    assert!(smooth.iter().all(|f| model(f).kinks().is_empty()));
+    let kinked: [fn(&Expr, &Expr) -> Expr; 5] = [
+        |x, u| x.abs() * u,
+        |x, _| x * x.sign(),
+        |x, _| x.abs() / x,
+        |x, _| x * x.abs() + x.abs(),
+        |x, _| x * (x - 1.0).abs(),
+    ];
+    assert!(kinked.iter().all(|f| model(f).kinks().len() == 1));
+}
+
+#[test]
 fn quantities_of_state_equations_are_smoothed_in_their_place() {
     let mut m = Model::new("kinked");
     let v = m.state("v", "m/s").unwrap();

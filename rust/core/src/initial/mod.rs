@@ -150,12 +150,17 @@ fn nearby<'a>(
         let mut other = Newton::new(program, point, None, &settings);
         other.take_over(&mut newton);
         let Along { newton: mut other, ending: end, .. } = along_paths(other, &settings, watch)?;
-        if rank(end.status, &other) < rank(ending.status, &newton) || end.status.was_stopped() {
+        if end.status == Status::Converged || end.status.was_stopped() {
             return Ok(other.finish(end));
         }
+        // A path that leaves the equations may find a way where a consistent one has none.
         newton.take_over(&mut other);
         if spent && newton.program().stopped().is_none() {
             ending = newton.minimise(watch)?;
+        }
+        if rank(end.status, &other) < rank(ending.status, &newton) {
+            other.take_over(&mut newton);
+            return Ok(other.finish(end));
         }
     }
     Ok(newton.finish(ending))

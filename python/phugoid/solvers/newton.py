@@ -33,7 +33,8 @@ class Newton:
     projected out (Golub & Pereyra 1973) and other start values are tried, too, unless a fit is the start.
     ``gauss_newton`` False uses the exact Hessian from the start.
     ``paths``: start with steps between paths that satisfy the equations, integrated again after each step, with the
-    parameters in a trust region; None does so where states are neither measured nor given and there are few samples.
+    parameters in a trust region; None does so where states are neither measured nor given and there are few samples,
+    and, from the fit of another model, where 20 iterations do not lead near an optimum.
     ``restarts``: where there are few samples and the parameters determine all initial states, the estimation is
     repeated from the best optimum so far with some of the parameters drawn within their bounds, until so many restarts
     in succession have brought no gain. None: twenty, and two for each parameter, or eight in succession that end at the

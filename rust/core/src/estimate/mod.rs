@@ -306,7 +306,7 @@ impl<'a> Estimation<'a> {
     }
 
     /// Whether steps along paths that satisfy the equations go first: where states are neither measured nor given and
-    /// samples are few, unless said.
+    /// samples are few, unless said. From the fit of another model they follow where the loop is not near an optimum soon.
     pub fn consistent_paths(mut self, paths: bool) -> Self {
         self.paths = Some(paths);
         self

@@ -18,7 +18,7 @@ const ENDLESS: f64 = 1e15;
 const VALLEY: (usize, usize, f64) = (10, 40, 0.1);
 /// So many steps in a row, none of which is longer than this part of a full one: the merit function has led the path to where
 /// its linearisation holds no farther, and hundreds of such steps would lead nowhere.
-const STALLED: (usize, f64) = (10, 0.05);
+const STALLED: (usize, f64) = (10, 1e-3);
 
 /// Largest defect, in units of its state, of a path that satisfies the equations but for the last steps.
 const FEASIBLE: f64 = 1e-6;

@@ -45,7 +45,7 @@ def test_strong_friction_is_fitted_and_named() -> None:
     points = Linearised(fit).points
     friction = next(c for c in ph.candidates(fit.model, points=points) if c.name == "w':sign(w)")
     alone = refit(fit, [friction], {}, points=points)
-    assert alone is not None and alone.fit.iterations > 40
+    assert alone is not None
     estimate = alone.fit.parameters[friction.parameters[0]]
     assert abs(estimate.value + FRICTION) < 0.02 * FRICTION
     d = ph.diagnose(fit, validation=record(2))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,25 @@ _NOTHING = 1e-9
 _DEPENDENT = "diagnose: the fit cannot be linearised: its equations depend on each other"
 
 
+class _AlongPaths(NamedTuple):
+    """What was evaluated along the path of each experiment.
+
+    slopes         place -> (n_x, mesh points) derivatives of f by what is added there.
+    direct         place -> (n_y, samples) derivatives of g by the same.
+    by_state       (n_y, n_x, samples) derivatives of g.
+    by_variable    (n_y, n_theta, samples) the same by the variables.
+    sample_points  places of the samples among the points.
+    places         places of the problem's points among them.
+    """
+
+    slopes: list[Mapping[Place, _Array]]
+    direct: list[Mapping[Place, _Array]]
+    by_state: list[_Array]
+    by_variable: list[_Array]
+    sample_points: list[_Indices]
+    places: list[_Indices]
+
+
 class Linearised:
     """The outputs of a collocation fit as a linear function of what may change in its model.
 
@@ -48,6 +67,9 @@ class Linearised:
     sigmas    (n_y,) standard deviations of the noise as fitted.
     tangents  (n_rows, k) changes of the outputs by the free parameters and initial states: an orthogonal basis in units
               of the noise, k their number (less where data or conditions leave less).
+    points         the trajectory of each experiment at all points.
+    sample_points  of each experiment, the places of its samples among them.
+    places         where candidates can act.
     """
 
     def __init__(self, fit: FitResult) -> None:
@@ -56,9 +78,6 @@ class Linearised:
         self.fit, self.inner = fit, inner
         self.model, self.experiments = inner.model, inner.experiments
         names = self.model.output_names
-        spreads = {name: spread(self.experiments, name) for name in names}
-        noise = inner.noise.resolve(names, spreads, inner.as_start(inner.noise))
-        self._problem = inner.transcription.problem(self.model, self.experiments, noise)
         self._xi = inner._solution_of(self._problem).xi
         present = [[np.isfinite(e.output(name)) for e in self.experiments] for name in names]
         counts = np.array([[int(p.sum()) for p in line] for line in present])
@@ -71,7 +90,9 @@ class Linearised:
         self.times = self._stacked(lambda _, e: self.experiments[e].t)
         self.residuals = self._stacked(lambda name, e: inner.records[e].residuals[name])
         self.sigmas = np.array([self._sigma(name) for name in names])
-        self._evaluate()
+        self._along, self.points = self._evaluated_along()
+        self.sample_points = self._along.sample_points
+        self.places = {*self._along.slopes[0], *(Place("output", name) for name in names)}
 
     def _sigma(self, output: str) -> float:
         """Return the standard deviation of an output's noise; without one in the fit, that of its residuals."""
@@ -119,17 +140,11 @@ class Linearised:
         """Output -> the RMS within which residuals are rounding of its measurements; 0 where these are not rounded."""
         return {n: WITHIN * resolution_of([e.output(n) for e in self.experiments]) for n in self.model.output_names}
 
-    def _evaluate(self) -> None:
+    def _evaluated_along(self) -> tuple[_AlongPaths, list[Points]]:
         """Evaluate the derivatives of f and g along the trajectory, at all points, by symbols."""
         model, problem, record = self.model, self._problem, self.inner.records
         derivatives = Derivatives(model, self.fit.model)
-        self.points: list[Points] = []
-        self._slopes: list[Mapping[Place, _Array]] = []  # place -> (n_x, mesh points)
-        self._direct: list[Mapping[Place, _Array]] = []  # place -> (n_y, samples)
-        self._by_state: list[_Array] = []  # (n_y, n_x, samples)
-        self._by_variable: list[_Array] = []  # (n_y, n_theta, samples)
-        self.sample_points: list[_Indices] = []  # places among the points
-        self._places: list[_Indices] = []  # of the problem's points among them
+        along, along_points = _AlongPaths([], [], [], [], [], []), []
         n_theta, xi = problem.n_theta, self._xi
         values = problem.values(xi[: len(problem.estimands)].tolist())
         first = problem.first_point
@@ -156,17 +171,36 @@ class Linearised:
                     each[Place("input", of)] = f + more_f, g + more_g
                 columns[1 + inputs.index(of)] = columns[1 + inputs.index(name)]
             mesh = place_of[: record[e].mesh_t.size]
-            self.sample_points.append(at)
-            self._places.append(place_of)
-            self._by_state.append(seen.by_state)
+            along.sample_points.append(at)
+            along.places.append(place_of)
+            along.by_state.append(seen.by_state)
             by_variable = np.zeros((len(model.output_names), n_theta, at.size))
             for i, ((_, p, own), (_, slope)) in enumerate(zip(problem.estimands, values, strict=True)):
                 if own is None or own == e:
                     by_variable[:, i] = slope * seen.by_parameter[:, p]
-            self._by_variable.append(by_variable)
-            self._slopes.append({place: f[:, mesh] for place, (f, _) in found.by_place.items()})
-            self._direct.append({place: g for place, (_, g) in seen.by_place.items()})
-            self.points.append(self._points(experiment.name, columns, found, theta))
+            along.by_variable.append(by_variable)
+            along.slopes.append({place: f[:, mesh] for place, (f, _) in found.by_place.items()})
+            along.direct.append({place: g for place, (_, g) in seen.by_place.items()})
+            along_points.append(self._points(experiment.name, columns, found, theta))
+        return along, along_points
+
+    @cached_property
+    def _along(self) -> _AlongPaths:
+        return self._evaluated_along()[0]
+
+    @cached_property
+    def _problem(self) -> Any:
+        """Return the problem, which keeps its last factorisation."""
+        inner, names = self.inner, self.model.output_names
+        assert isinstance(inner.transcription, Collocation)
+        spreads = {name: spread(self.experiments, name) for name in names}
+        noise = inner.noise.resolve(names, spreads, inner.as_start(inner.noise))
+        return inner.transcription.problem(self.model, self.experiments, noise)
+
+    def forget(self) -> None:
+        """Drop derivatives along the paths and factorisations: they take much space, and can be worked out again."""
+        for name in ("_along", "_derivatives", "_problem"):
+            self.__dict__.pop(name, None)
 
     def _at_samples(self, experiment: Experiment, columns: _Array) -> _Array:
         """Columns at the samples, with inputs that are held as the outputs see them: from the sample's time on."""
@@ -196,8 +230,8 @@ class Linearised:
     def n_unknowns(self) -> int:
         """Number of free parameters of the model and initial states, less the conditions on these."""
         problem = self._problem
-        free = problem.n_theta - len(self._held())
-        return free + problem.n_states * len(self.inner.records) - len(problem.boundary_states)
+        free: int = problem.n_theta - len(self._held())
+        return free + int(problem.n_states) * len(self.inner.records) - len(problem.boundary_states)
 
     @cached_property
     def moves(self) -> tuple[_Array, _Array]:
@@ -205,7 +239,9 @@ class Linearised:
         columns, answers = self.directions()
         basis, values, vt = np.linalg.svd(columns, full_matrices=False)
         kept = values > _NOTHING * values[:1]
-        return basis[:, kept], answers[: self._problem.n_theta] @ (vt[kept].T / values[kept])
+        moves = basis[:, kept], answers[: self._problem.n_theta] @ (vt[kept].T / values[kept])
+        self.forget()  # of most fits no more is asked
+        return moves
 
     def directions(self) -> tuple[_Array, _Array]:
         """Return what `moves` does, with changes of variables and all sampled states, (n_theta + n_samples n_x, k)."""
@@ -241,7 +277,7 @@ class Linearised:
         _, sizes, vt = np.linalg.svd(conditions)
         return np.asarray(vt[int((sizes > _NOTHING * sizes[0]).sum()) :])
 
-    @cached_property
+    @property
     def tangents(self) -> _Array:
         """See the class."""
         return np.asarray(self.moves[0] * self.scale()[:, None])
@@ -264,11 +300,6 @@ class Linearised:
             _, which = np.unique(self.times[mine], return_inverse=True)
             found.append(np.bincount(which.ravel(), weights=rows[mine]).astype(np.float64))
         return found
-
-    @property
-    def places(self) -> set[Place]:
-        """Where candidates can act."""
-        return {*self._slopes[0], *(Place("output", name) for name in self.model.output_names)}
 
     def reaches(self, place: Place) -> bool:
         """Return whether candidates can act at a place, shown by outputs or not."""
@@ -355,7 +386,7 @@ class Linearised:
                 rows[e][self._present[i][e], i] = np.arange(own.start, own.stop)
         by_state, by_variable = (
             np.ascontiguousarray(np.concatenate(parts, axis=2).transpose(2, 0, 1))
-            for parts in (self._by_state, self._by_variable)
+            for parts in (self._along.by_state, self._along.by_variable)
         )
         return by_state, by_variable, np.vstack(rows)
 
@@ -403,11 +434,11 @@ class Linearised:
             direct[:, self.model.output_names.index(place.name)] = 1.0
         else:
             at = replace(place, shown=True)
-            slopes = np.vstack([by[at].T for by in self._slopes])
-            direct = np.vstack([by[at].T for by in self._direct])
+            slopes = np.vstack([by[at].T for by in self._along.slopes])
+            direct = np.vstack([by[at].T for by in self._along.direct])
             if place.kind == "equation" and not place.shown:
                 direct = np.zeros_like(direct)
-        of_points = np.hstack([np.take(s, at, axis=1) for s, at in zip(signals, self._places, strict=True)])
+        of_points = np.hstack([np.take(s, at, axis=1) for s, at in zip(signals, self._along.places, strict=True)])
         mine = (self._problem, self._xi, self._held(), *self._derivatives)
         slopes, direct, of_points = map(np.ascontiguousarray, (slopes, direct, of_points))
         found = _core.answers(*mine, slopes, direct, of_points, time_is_up)

@@ -36,6 +36,8 @@ class RefittingSettings:
     alike   the same, of those whose effect is nearly the same.
     apart   estimates with a correlation below this are taken as independent.
     rounds  replacements at most.
+    hopeless times what the last term gains in log-likelihood by which another is behind an earlier one without it: then
+            it is not looked at again with it.
     simple  constants and linear terms, fitted whatever they gain to first order, that are then weighed: what leaves
             least.
     sure    standard errors that each of several parameters must change by that change at one time.
@@ -45,6 +47,7 @@ class RefittingSettings:
     alike: int = 3
     apart: float = 0.3
     rounds: int = 4
+    hopeless: float = 10.0
     simple: int = 12
     sure: float = 3.0
 
@@ -112,6 +115,19 @@ class Refitting:
                     yield r
                     break
 
+    def _is_hopeless(self, at: Refit, candidate: Candidate, other: Candidate) -> bool:
+        """Return whether without the last term another candidate is behind the one that it would replace by many times
+        of what the last term gains beside that."""
+        if len(at.candidates) < 2 or candidate is at.candidates[-1]:
+            return False
+        before = at.candidates[:-1]
+        instead = [other if c is candidate else c for c in before]
+        refits = self._cache.known(before), self._cache.known(instead)
+        if any(r is None for r in refits):
+            return False
+        first, second = (r.fit.log_likelihood for r in refits if r is not None)
+        return first - second > self.settings.hopeless * (at.fit.log_likelihood - first)
+
     def _apart(self, at: Refit, one: Candidate, other: Candidate) -> bool:
         """Return whether the estimates of two candidates hardly depend on each other: none casts doubt on the other."""
         return at.own.correlation(one.parameters, other.parameters) < self.settings.apart
@@ -126,6 +142,7 @@ class Refitting:
         filter, s, assess = at.own.filter, self.settings, self._assessment
         if fit:
             wanted = self._screen.alternatives(without, candidate, filter, s.again, s.alike)
+            wanted = [c for c in wanted if not self._is_hopeless(at, candidate, c)]
             self._cache.refits([[*others, c] for c in wanted], at.fit)
         refits = [r for r in self._cache.with_one_more(others) if assess.is_admissible(without, r)]
         reference = at.through(filter).log_likelihood - assess.penalty(at, others) / 2

@@ -43,9 +43,9 @@ __all__ = [
     "started_from",
 ]
 
-# A refit goes on from a fit nearby: a quarter of these iterations leads near its optimum, or the rest go along paths that
-# satisfy the equations. What a scan elsewhere proposed may be farther, and so may a term without a shape, such as strong
-# friction, whose iterations are quick. With 200 and more the solver would try other ways to the optimum as well.
+# A refit goes on from a fit nearby: a quarter of these iterations leads near its optimum, or the rest go along paths
+# that satisfy the equations. What a scan elsewhere proposed may be farther, and so may a term without a shape, such as
+# strong friction, whose iterations are quick. With 200 and more the solver would try other ways to the optimum as well.
 _ITERATIONS, _PATIENT, _FROM_MEASURED = 80, 150, 199
 _SOLVER = Newton(max_iterations=_ITERATIONS)
 # In s and in times of the base fit: where its iterations take so long, the mesh is refined again and again, or the path

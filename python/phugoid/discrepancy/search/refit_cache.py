@@ -33,6 +33,8 @@ _STARTS, _LARGE, _EVIDENT = (0.4, 1.6, 0.25, 0.65), 0.1, 0.3
 _PROFILE = (0.4, 0.6, 0.8, 1.0, 1.3, 1.7)
 # Part of an output's variance that a fit leaves with which next to nothing about it is true.
 _USELESS = 0.5
+# Part of the residuals' power of an output beside noise that is a misfit; part of a misfit that is next to nothing.
+_STRUCTURED, _NEXT_TO_NOTHING = 0.2, 0.01
 # Two ends at the likeliest optimum so far, alike to this in log-likelihood, or so many starts that come to no end,
 # leave little to be found.
 _SAME, _FAILED = 0.5, 3
@@ -42,6 +44,8 @@ _NEARLY = 10.0
 _TIMES_EXPECTED = 5.0
 # An end that gains less than this part of what the scan promises is none; so many shapes are tried then.
 _LITTLE, _OTHERS = 0.1, 4
+# Scans keep their effects as long as all have no more numbers together: half a gigabyte.
+_NUMBERS = 60_000_000
 # Refits side by side: the solver works without the interpreter's lock.
 _WORKERS = 4
 # Of a trim that is estimated, in parts of the range of the variable: the step of the derivative, the longest step of
@@ -135,18 +139,12 @@ class RefitCache:
 
         for candidates in new.values():
             self.watch("fitting with " + ", ".join(c.name for c in candidates))
-        if len(new) == 1:
-            self._refits |= {key: one(candidates) for key, candidates in new.items()}
-        elif new:
-            from concurrent.futures import ThreadPoolExecutor  # not at import
-
-            executor = ThreadPoolExecutor(min(len(new), _WORKERS))
-            try:
-                # Each thread works within the limit in force here.
-                tasks = [executor.submit(copy_context().run, one, candidates) for candidates in new.values()]
-                self._refits |= {key: task.result() for key, task in zip(new, tasks, strict=True)}
-            finally:
-                executor.shutdown(cancel_futures=True)
+        # Those that begin at several places come last: what the others explain says whether that is worth while.
+        for several in (False, True):
+            part = {
+                key: c for key, c in new.items() if any(o.several_starts or o.begins_measured for o in c) == several
+            }
+            self._refits |= dict(zip(part, _side_by_side(one, [*part.values()]), strict=True))
         return [self._refits[key] for key in keys]
 
     def again(self, candidates: Sequence[Candidate], near: FitResult) -> Refit | None:
@@ -246,6 +244,8 @@ class RefitCache:
             other = refit(self.base.fit, candidates, {**starts, **elsewhere}, near, points, patient=best is None)
             if other is not None and (best is None or other.fit.log_likelihood > best.fit.log_likelihood):
                 best = other
+        if self._is_explained(candidates):
+            return best
         if best is None:
             # About a start far off the linearisation that gave it says little: two others, or from nothing.
             last = candidates[-1] if candidates else None
@@ -285,6 +285,12 @@ class RefitCache:
                 failed += ends[-1] is None
         return _best(ends)
 
+    def _is_explained(self, candidates: Sequence[Candidate]) -> bool:
+        """Return whether another candidate in the place of the last of a set explains next to all of the misfit: then
+        few starts will do."""
+        others = self.with_one_more(candidates[:-1]) if candidates else []
+        return any(self._left(r.fit) < _NEXT_TO_NOTHING for r in others)
+
     def _profiled(
         self,
         candidates: Sequence[Candidate],
@@ -310,14 +316,18 @@ class RefitCache:
         return [found] if found is not None else []
 
     def _left(self, near: FitResult | None) -> float:
-        """Return the part of the power of the base's residuals that a fit leaves in the output with the most."""
+        """Return the part of the misfit of the base that a fit leaves in the output in which it leaves most of it."""
         if near is None:
             return 1.0
         left = []
-        for name in self.base.fit.model.output_names:
-            before, now = (mean_square(f, name) for f in (self.base.fit, near))
-            left.append(now / before if before > 0.0 else 1.0)
-        return min(max(left), 1.0)
+        filter = self.base.own.filter
+        assert isinstance(filter, Whitening)  # channel by channel
+        for name, channel in zip(self.base.fit.model.output_names, filter.channels, strict=True):
+            # What the past of the residuals does not predict is noise: of an output without a misfit that is left.
+            power = mean_square(self.base.fit, name)
+            if (misfit := power - channel.power) > _STRUCTURED * power:
+                left.append((mean_square(near, name) - channel.power) / misfit)
+        return min(max(left, default=1.0), 1.0)
 
     def _share(self, candidate: Candidate, among: Sequence[Candidate]) -> float:
         """Return the part of the residuals' power that a candidate explains to first order beside the others of a set;
@@ -329,15 +339,18 @@ class RefitCache:
     def scan(self, at: Refit) -> Scan:
         """Return the scan of all others at a set."""
         key = frozenset(at.names)
-        for other, scan in self._scans.items():
-            if other != key:
-                scan.forget()
         if key not in self._scans:
             self.watch("scanning all candidates" + (" beside " + ", ".join(at.names) if at.names else ""))
             # With its terms a model may have more parameters than are asked what they move.
             others = [c for c in self.candidates if c.name not in key and (not c.beside or c.beside in key)]
             others = [c for c in others if at.linear.reaches(c.place)]
             self._scans[key] = Scan(at.linear, others)
+        self._scans[key] = self._scans.pop(key)  # the last that was asked for
+        size = 0
+        for scan in reversed(self._scans.values()):
+            size += scan.size
+            if size > _NUMBERS and scan is not self._scans[key]:
+                scan.forget()
         return self._scans[key]
 
     def is_weighed(self, at: Refit) -> bool:
@@ -433,6 +446,23 @@ class RefitCache:
     def has_start(self, name: str) -> bool:
         """Return whether it is known where a refit with a candidate starts."""
         return name in self._starts
+
+
+def _side_by_side(
+    one: Callable[[Sequence[Candidate]], Refit | None], sets: Sequence[Sequence[Candidate]]
+) -> list[Refit | None]:
+    """Return what a function returns of each set, in threads where there are several."""
+    if len(sets) < 2:
+        return [one(candidates) for candidates in sets]
+    from concurrent.futures import ThreadPoolExecutor  # not at import
+
+    executor = ThreadPoolExecutor(min(len(sets), _WORKERS))
+    try:
+        # Each thread works within the limit in force here.
+        tasks = [executor.submit(copy_context().run, one, candidates) for candidates in sets]
+        return [task.result() for task in tasks]
+    finally:
+        executor.shutdown(cancel_futures=True)
 
 
 def _centre_step(at: Refit, candidate: Effect, filter: Filter) -> tuple[float, float]:

@@ -118,8 +118,6 @@ _ROUNDING = 1e-10
 _CANCELLED = 1e-5
 # Columns that are worked on together: they stay in the cache.
 _AT_ONCE = 32
-# Columns of more numbers are made again rather than kept while another scan is at work.
-_LARGE = 20_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,10 +216,15 @@ class Scan:
                 self._shares[candidate.name] = max(value, self._shares.get(candidate.name, 0.0))
         return self._shares.get(name, 0.0)
 
+    @property
+    def size(self) -> int:
+        """Number of numbers in the columns; 0 where these were dropped."""
+        return 0 if self._columns is None else self._columns.size
+
     def forget(self) -> None:
-        """Drop columns that take much space: they can be made again."""
-        if self._columns is not None and self._columns.size > _LARGE:
-            self._columns = None
+        """Drop columns and derivatives that take much space: they can be made again."""
+        self._columns = None
+        self.linear.forget()
 
     def through(self, filter: Filter) -> Statistics:
         """Statistics through a filter; those of the last few filters are kept."""

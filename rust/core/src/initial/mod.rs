@@ -256,6 +256,8 @@ fn approached<'a>(
     match newton.approach(watch) {
         Approach::Ended(ending) => return Ok(Some(ending)),
         Approach::None => return Ok(None),
+        // Where no step helps far from an optimum, the path is as lost as a torn one.
+        Approach::Taken(false) if !newton.is_near() => return Ok(Some(Status::Failed.into())),
         Approach::Taken(false) => return Ok(Some(Status::Acceptable.into())),
         Approach::Taken(true) => {}
     }

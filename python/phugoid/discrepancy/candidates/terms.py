@@ -357,29 +357,32 @@ _DECAY, _DECAYS = (0.03, 1.0), 6
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Decaying(Effect):
-    """c exp(-x / s) with a position x, the ``variables``' only one, and a distance s: what acts near the ground, a wall
-    or a magnet."""
+    """c exp(-x / s) with a position x and a distance s: what acts near the ground, a wall or a magnet. With a second of
+    the ``variables``, y, c y exp(-x / s): a thrust that is larger near the ground (Cheeseman and Bennett 1955)."""
 
     def worthwhile(self) -> bool:
-        return super().worthwhile() and self.scales.is_positive(*self.variables)
+        return super().worthwhile() and self.scales.is_positive(self.variables[0])
 
     @property
     def _origin(self) -> float:
-        (name,) = self.variables
+        name = self.variables[0]
         return 0.0 if self.scales.reaches_zero(name) else float(f"{self.scales.low[name]:.3g}")
 
     def grid(self) -> Iterable[float]:
         low, high = _DECAY
-        return np.asarray(self.scales.span(*self.variables) * np.geomspace(low, high, _DECAYS))
+        return np.asarray(self.scales.span(self.variables[0]) * np.geomspace(low, high, _DECAYS))
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
-        x = of(points.values, self.variables[0], points, "state or input")
-        return np.asarray(np.exp(-(x - self._origin) / shape[self.shape_names[0]]))[np.newaxis]
+        x, *factors = (of(points.values, name, points, "state or input") for name in self.variables)
+        decay = np.exp(-(x - self._origin) / shape[self.shape_names[0]])
+        return np.asarray(np.prod([decay, *factors], axis=0))[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
-        (variable,), (name,) = self.variables, self.shape_names
+        (variable, *factors), (name,) = self.variables, self.shape_names
         c = extension.parameter(self.coefficients[0])
+        for factor in factors:
+            c = c * Expr.symbol(factor)
         span, first = self.scales.span(variable), self.shapes[len(self.shapes) // 2][name]
         options = {
             "bounds": tuple(f * span for f in _DECAY),

@@ -380,9 +380,9 @@ class Confirmation:
 
     def of_the_rest(self, at: Refit, candidate: Candidate, explained: Explained | None) -> float:
         """Return the part that a term explains of the misfit that the others of a refit leave; NaN where it is alone or
-        explains more of all than a minor finding, and where all together leave more than noise: then it may represent
-        a part of what is still missing."""
-        if len(at.candidates) < 2 or not self._assessment.is_minor(explained):
+        explains more of all than a minor finding, where all together leave more than noise: then it may represent
+        a part of what is still missing; and of what other records do not have, which cannot confirm it."""
+        if len(at.candidates) < 2 or not candidate.transferable or not self._assessment.is_minor(explained):
             return math.nan
         if is_structured(at, self._assessment.settings.error):
             return math.nan

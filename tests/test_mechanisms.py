@@ -394,3 +394,40 @@ def test_the_free_motion_of_a_mode_is_no_other_cause() -> None:
         assert both is not None
         assert is_free_motion(both, wave) is expected
     assert not is_free_motion(both, mode)
+
+
+def _hover(seed: int, name: str) -> ph.Experiment:
+    """A rotorcraft that follows steps of a height near the ground, where its thrust is larger."""
+
+    def motion(x: _Array, u: float) -> _Array:
+        h, w, thrust = x
+        return np.array([w, thrust * (1.0 + 0.35 * np.exp(-h / 0.3)) - 9.81 - 0.4 * w, (u - thrust) / 0.08])
+
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 16.0, 0.02)
+    x = np.array([1.0, 0.0, 9.81])
+    rows, inputs, wanted = [], [], 1.0
+    for k in range(t.size):
+        if k % 80 == 0:
+            wanted = rng.uniform(0.25, 1.6)
+        u = 9.81 + float(np.clip(4.0 * (wanted - x[0]) - 3.0 * x[1], -4.0, 4.0)) + 0.1 * rng.standard_normal()
+        rows.append(x)
+        inputs.append(u)
+        x = integrated(motion, x, np.array([0.0, 0.02]), np.array([u, u]))[-1]
+    y = np.array(rows)[:, :2] + np.array([0.006, 0.02]) * rng.standard_normal((t.size, 2))
+    return ph.Experiment(t, {"u": np.array(inputs)}, {"h": y[:, 0], "w": y[:, 1]}, name=name, interpolation="hold")
+
+
+def test_a_thrust_that_is_larger_near_the_ground_is_named() -> None:
+    m = ph.Model("hover")
+    h, w, thrust = m.states(h="m", w="m/s", T="N/kg")
+    (u,) = m.inputs(u="N/kg")
+    k, d, tau = m.parameters(k=1.0, d=0.3, tau=0.1)
+    m.dynamics(h=w, w=thrust - 9.81 - d * w, T=(k * u - thrust) / tau)
+    m.outputs(h=h, w=w)
+    (found,) = named(ph.diagnose(ph.estimate(m, _hover(1, "a")), validation=_hover(2, "b")))
+    assert found.cause == "w':T*exp(-h)"
+    assert found.explained > 0.95
+    assert found.coefficient == pytest.approx(0.35, abs=3.0 * found.std_error)
+    distance, error = found.parameters["distance_w_dot_T_h"]
+    assert distance == pytest.approx(0.3, abs=3.0 * error)

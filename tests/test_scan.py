@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 import phugoid as ph
+from phugoid.discrepancy.search import refit_cache
 from phugoid.discrepancy.search import scan as module
+from phugoid.discrepancy.search.refit import Refit
+from phugoid.discrepancy.search.refit_cache import RefitCache
 from phugoid.discrepancy.search.scan import CONFOUNDED, Groups, Scan, Statistics
 from phugoid.residual_noise.whitening import Whitening
 from phugoid.sensitivities.linearised import Linearised
@@ -112,16 +115,28 @@ def test_cosines_are_those_of_the_angles_between_effects() -> None:
         assert scan.cosines(statistics, q) == pytest.approx(expected, abs=1e-7)
 
 
-def test_columns_that_were_dropped_are_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_columns_that_were_dropped_are_made_again() -> None:
     scan, filter = scanned(), filters()["own"]
     before = scan.columns.copy()
+    assert scan.size == before.size
     scan.forget()
-    assert scan._columns is not None  # they are few
-    monkeypatch.setattr(module, "_LARGE", 0)
-    scan.forget()
-    assert scan._columns is None
+    assert scan.size == 0
+    assert not {"_along", "_derivatives", "_problem"}.intersection(vars(scan.linear))
     assert np.allclose(scan.columns, before, rtol=1e-9, atol=1e-12 * np.abs(before).max())
     assert scan.through(filter).values.size == len(scan.effects)
+
+
+def test_scans_keep_no_more_numbers_together_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = Refit((), scanned().linear.fit)
+    scans = RefitCache(base, [c for c, _ in scanned().effects][:12])
+    first = scans.scan(base)
+    more = scans.refit([next(c for c, _ in first.effects if not c.shape_names)])
+    assert more is not None
+    second = scans.scan(more)
+    assert first.size and second.size
+    monkeypatch.setattr(refit_cache, "_NUMBERS", second.size)
+    assert scans.scan(more) is second
+    assert second.size and not first.size
 
 
 def test_a_group_of_columns_that_depend_on_each_other_counts_once() -> None:

@@ -52,6 +52,8 @@ class Outcome:
     truth    effect -> kind.
     error    what was raised, or "".
     verdict  of the diagnosis.
+    promise  where one cause is named, that of a case with one effect: the part of the misfit of a third record that it
+             explains, and the interval that was promised for such a record.
     equal    whether, where what is hidden was left out of the library, the named causes explain as much of the held-out
              record in free simulation as what is hidden does: another name for the same.
     time     of the diagnosis, s; ``fit_time`` and ``make_time`` before it.
@@ -68,6 +70,7 @@ class Outcome:
     error: str = ""
     verdict: str = ""
     equal: bool = False
+    promise: tuple[float, tuple[float, float]] | None = None
     time: float = float("nan")
     fit_time: float = float("nan")
     make_time: float = float("nan")
@@ -124,9 +127,42 @@ def diagnosed(
         Found((f.cause, *f.aliases)[:NAMES], f.status, float(f.coefficient), tuple(map(float, f.interval)))
         for f in d.findings
     )
+    promise = kept_promise(case, fit, d) if case.more else None
     equal = leave_out and d.verdict == "named" and explains_as_much(case, fit, d.extend().fit)
     times = {"time": done - fitted, "fit_time": fitted - made, "make_time": made - begin}
-    return Outcome(*about, found, verdict=d.verdict, equal=equal, **times)
+    return Outcome(*about, found, verdict=d.verdict, equal=equal, promise=promise, **times)
+
+
+def kept_promise(case: hidden.Case, fit: Any, d: Any) -> tuple[float, tuple[float, float]] | None:
+    """Return the part of the misfit of a third record that the only named cause explains in free simulation, and the
+    interval that was promised for it; None where the case has not one effect, and that named."""
+    from phugoid.discrepancy.search.free_run import Misfitting, Simulated
+    from phugoid.discrepancy.search.refit import Refit, on_other_data
+    from phugoid.errors import PhugoidError
+
+    named = [f for f in d.findings if f.status == "named"]
+    if len(case.truth) != 1 or len(named) != 1 or case.truth[0] not in (named[0].cause, *named[0].aliases):
+        return None
+    if named[0].explained_in != "data held out" or not np.isfinite(named[0].explained_another).all():
+        return None
+    try:
+        before, after = (on_other_data(Refit((), f), case.more) for f in (fit, d.extend().fit))
+    except PhugoidError:
+        return None
+    part = Simulated.of(after).explained(Simulated.of(before), Misfitting.of(before)).part
+    return float(part), tuple(map(float, named[0].explained_another))
+
+
+def promises(outcomes: Iterable[Outcome]) -> list[list[str]]:
+    """Rows: strength, and the share of named causes that explain as much of a third record as was promised."""
+    counts: dict[str, Counter] = defaultdict(Counter)
+    for o in outcomes:
+        for group in (o.strength, "all") if o.promise is not None else ():
+            part, (low, high) = o.promise
+            counts[group]["all"] += 1
+            counts[group]["below" if part < low - 0.01 else "above" if part > high + 0.01 else "within"] += 1
+    order = sorted(counts.items(), key=lambda item: (item[0] == "all", item[0]))
+    return [[name, *(share(c[key], c["all"]) for key in ("within", "below", "above"))] for name, c in order]
 
 
 def at_rates(seed: int, choice: dict) -> tuple[Outcome, ...]:

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import discrepancy_scores as scores
+import hidden
 import numpy as np
 import pytest
 from discrepancy_scores import Found, Outcome
@@ -51,6 +52,24 @@ def test_claims_of_what_is_not_there() -> None:
     assert rows["  of claims 'surrogate'"] == "0.000  (0 of 1)"
     assert rows["  nothing said at all"] == "0.333  (1 of 3)"
     assert rows["'unexplained' said, of cases"] == "0.125  (1 of 8)"
+
+
+def test_promises_are_kept_within_a_hundredth() -> None:
+    kept = [outcome(FRICTION, RIGHT, promise=(part, (0.5, 0.9))) for part in (0.6, 0.495, 0.4, 0.95)]
+    strength, every = scores.promises([*kept, outcome(FRICTION, RIGHT)])
+    assert strength == ["weak", "0.500  (2 of 4)", "0.250  (1 of 4)", "0.250  (1 of 4)"]
+    assert every == ["all", *strength[1:]]
+
+
+def test_what_was_promised_is_compared_with_a_third_record() -> None:
+    case = hidden.make("servo", "torque:sign(rate)", "strong", "white", 3, more=1)
+    d = ph.diagnose(ph.estimate(case.model, case.data), validation=case.validation)
+    found = scores.kept_promise(case, d.fit, d)
+    assert found is not None
+    part, interval = found
+    assert interval == d.findings[0].explained_another
+    assert 0.5 < part <= 1.0
+    assert scores.kept_promise(hidden.nothing("servo", "white", 3), d.fit, d) is None
 
 
 def test_rates_are_alike_in_verdict_causes_and_aliases() -> None:

@@ -231,11 +231,12 @@ def draw(
     doubles: float = 0.0,
     empty: float = 0.0,
     validation: bool = True,
+    more: int = 0,
 ) -> Case:
     """A case picked at random: kinds of effect as often as the root of how many there are, effects of a kind alike.
 
     ``doubles`` and ``empty`` are the parts of cases with two effects and with none. Effects that a seed's vehicles and
-    manoeuvres do not show strongly enough are passed over.
+    manoeuvres do not show strongly enough are passed over. ``more`` is the number of further records.
     """
     rng = np.random.default_rng([seed, 7])
     system, noise = str(rng.choice(list(systems))), str(rng.choice(list(noises)))
@@ -251,7 +252,7 @@ def draw(
             if all(effect.where != name.partition(":")[0] for name in names) or effect.form == "term":
                 names += [effect.name] * (effect.name not in names)
         try:
-            return make(system, tuple(names), strength, noise, seed, validation)
+            return make(system, tuple(names), strength, noise, seed, validation, more)
         except Unreachable:
             continue
     raise Unreachable(f"{system}, seed {seed}: no effect reaches {strength}")

@@ -145,7 +145,10 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
     known = Disturbances(base.fit.model)
     search.cache.watch("looking for a disturbance in what is left")
     # Beside terms that explain next to nothing, all is as without them.
-    options = _options(full if result.final.names else base, known, s, not is_structured(full, s.structure))
+    at = full if result.final.names else base
+    options = _options(
+        at, known, s, not is_structured(full, s.structure), _left_by_terms(search, at) >= _least(search, at, s)
+    )
     terms = result.final.candidates
     part = search.assessment.explained(base, result.final) if terms else None
     predicts = part is not None and part.part >= s.most and all(c.transferable for c in terms)
@@ -306,8 +309,11 @@ def _likeliest_place(
     return [max(found, key=lambda h: h.merit).place] if found else []
 
 
-def _options(at: Refit, known: Disturbances, s: RemainderSettings, white: bool = False) -> list[_Option]:
-    """Hypotheses beside the terms of a refit, the likeliest of each name, the best first; coloured noise with them."""
+def _options(
+    at: Refit, known: Disturbances, s: RemainderSettings, white: bool = False, ask: bool = True
+) -> list[_Option]:
+    """Hypotheses beside the terms of a refit, the likeliest of each name, the best first; coloured noise with them.
+    ``ask``: whether the filter-error method is asked, which takes its time."""
     best: dict[str, Disturbance] = {}
     for d in known.ranked(at, white):
         best.setdefault(d.name, d)
@@ -318,7 +324,7 @@ def _options(at: Refit, known: Disturbances, s: RemainderSettings, white: bool =
     noises = [o for o in options if o.disturbance is not None and o.disturbance.kind == "noise"]
     # Large disturbances move the vehicle far from the path of the fit, about which all else is linearised: there the
     # filter-error method itself is asked, where channels go together as disturbances make them.
-    if noises and (at.together is not None or noises[0] is options[0]):
+    if ask and noises and (at.together is not None or noises[0] is options[0]):
         for o in [o for o in noises[: s.filtered] if o.merit > noises[0].merit - s.near]:
             assert o.disturbance is not None
             found = filtered(at, o.disturbance, s.seconds)
@@ -339,13 +345,7 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         return None
     gain = option.merit - coloured
     other = search.cache.on_validation(option.at)
-    # What the terms explain in free simulation is no disturbance.
-    by_terms = search.assessment.explained(search.cache.base, option.at) if option.at.candidates else None
-    left = 1.0 - by_terms.part if by_terms is not None else 1.0
-    # A parameter that drifts seldom does so along a straight line, and what is left of that is no noise.
-    drifts = any(getattr(c, "family", "") == "variation" for c in option.at.candidates)
-    least = s.beside_drift if drifts else search.assessment.settings.minor
-    if min(_share(search, option.at, d), left) < least:
+    if min(_share(search, option.at, d), _left_by_terms(search, option.at)) < _least(search, option.at, s):
         return None
     held_out = float("nan")
     if d.kind in ("noise", "event"):
@@ -376,6 +376,19 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         bursts=bursts,
         oscillates=oscillates,
     )
+
+
+def _left_by_terms(search: Search, at: Refit) -> float:
+    """Return the part of the misfit that terms leave: what they explain in free simulation is no disturbance."""
+    by_terms = search.assessment.explained(search.cache.base, at) if at.candidates else None
+    return 1.0 - by_terms.part if by_terms is not None else 1.0
+
+
+def _least(search: Search, at: Refit, s: RemainderSettings) -> float:
+    """Return the least part of the misfit that a disturbance beside terms takes up. A parameter that drifts seldom does
+    so along a straight line, and what is left of that is no noise."""
+    drifts = any(getattr(c, "family", "") == "variation" for c in at.candidates)
+    return s.beside_drift if drifts else search.assessment.settings.minor
 
 
 def _moves(linear: Linearised, d: Disturbance, s: RemainderSettings) -> bool:

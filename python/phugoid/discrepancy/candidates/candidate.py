@@ -93,6 +93,16 @@ class Candidate(ABC):
         return None
 
     @property
+    def unsteady(self) -> Candidate | None:
+        """Return the same with states of its own that begin anywhere, where they begin as in a steady motion; None
+        where they do not."""
+        return None
+
+    def begins_within(self, states: Mapping[str, _Array], points: Points, shape: Mapping[str, float]) -> bool:
+        """Return whether its own states (n,) along a record begin within what is physical."""
+        return True
+
+    @property
     def begins_measured(self) -> bool:
         """Return whether a fit may begin at the measured motion: the one without the candidate goes where it cannot."""
         return False
@@ -304,7 +314,7 @@ class ExtensionBuilder:
                     f"{effect.name}: '{name}' is in the model already; was the model extended by this candidate before?"
                 )
         self._parameters: dict[str, Parameter] = {}
-        self._states: dict[str, tuple[str, Expr, Expr]] = {}
+        self._states: dict[str, tuple[str, Expr, Expr | None]] = {}
         self._inputs: dict[str, str] = {}
 
     def parameter(self, name: str, start: float = 0.0, **declared: Any) -> Expr:
@@ -315,7 +325,8 @@ class ExtensionBuilder:
         return Expr.symbol(name)
 
     def state(self, wanted: str, unit: str, right: Callable[[Expr], Any], initial: Any) -> Expr:
-        """Return one more state with its equation, right-hand side by its symbol, and its value at the first sample."""
+        """Return one more state with its equation, right-hand side by its symbol, and its value at the first sample,
+        None for any."""
         (symbol,) = self.states([wanted], lambda z: [right(z)], [initial], unit)
         return symbol
 
@@ -323,14 +334,15 @@ class ExtensionBuilder:
         self, wanted: Sequence[str], right: Callable[..., Sequence[Any]], initial: Sequence[Any], unit: str = ""
     ) -> list[Expr]:
         """Return several more states that depend on each other: right-hand sides by their symbols, and their values at
-        the first sample."""
+        the first sample, None for any."""
         known: dict[str, Any] = {}  # at the ends of a record quantities have no name
         for quantity in self.old.quantity_names:
             known[quantity] = self.equations["quantity", quantity].substitute(known)
         names = [self._unused(name) for name in wanted]
         symbols = [Expr.symbol(name) for name in names]
         for name, e, first in zip(names, right(*symbols), initial, strict=True):
-            self._states[name] = (unit, Expr(e), Expr(Expr(first).substitute(known)))
+            begun = None if first is None else Expr(Expr(first).substitute(known))
+            self._states[name] = (unit, Expr(e), begun)
         return symbols
 
     def late_input(self, of: str, tau: str) -> Expr:

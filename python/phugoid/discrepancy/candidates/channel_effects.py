@@ -84,7 +84,25 @@ class Scale(Effect):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Lag(Effect):
-    """It is followed with a time constant, tau z' + z = it, from a steady start."""
+    """It is followed with a time constant, tau z' + z = it, from a steady start or from any."""
+
+    steady: bool = True
+
+    @property
+    def unsteady(self) -> Candidate | None:
+        return replace(self, steady=False) if self.steady else None
+
+    @property
+    def state(self) -> str:
+        """Name of the state that follows."""
+        return f"{self.place.name}_{'sensor' if self.place.kind == 'output' else 'lag'}"
+
+    def begins_within(self, states: Mapping[str, _Array], points: Points, shape: Mapping[str, float]) -> bool:
+        """Return whether what follows begins in the range of what is followed, and goes on from there for a sample or
+        more: else it would be an impulse at the beginning, which may be anything."""
+        it = channel(self, points)
+        begun = self.state in states and bool(it.min() <= states[self.state][0] <= it.max())
+        return begun and shape[self.shape_names[0]] > 0.5 * self.scales.interval
 
     def grid(self) -> Iterable[float]:
         return lag_grid(self.scales)
@@ -93,13 +111,13 @@ class Lag(Effect):
         it = channel(self, points)
         return (lagged(points.t, it, shape[self.shape_names[0]]) - it)[np.newaxis]
 
-    def follower(self, extension: ExtensionBuilder, name: str, it: Expr) -> Expr:
+    def follower(self, extension: ExtensionBuilder, it: Expr) -> Expr:
         """Declare tau and the state that follows."""
         (tau_name,) = self.shape_names
         declared = lag_bounds(self.scales, extension.old.time_unit)
         tau = extension.parameter(tau_name, self.shapes[len(self.shapes) // 3][tau_name], **declared)
         unit = extension.old.units.get(self.place.name, "")
-        return extension.state(name, unit, lambda z: (it - z) / tau, it)
+        return extension.state(self.state, unit, lambda z: (it - z) / tau, it if self.steady else None)
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         return {self.shape_names[0]: (0.0, longest_lag(points))}
@@ -166,13 +184,13 @@ class SensorCurve(Effect):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SensorLag(Lag):
-    """The output follows with a time constant: tau y' + y = what it was, from a steady start."""
+    """The output follows with a time constant: tau y' + y = what it was."""
 
     stage: int = 7
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
-        y = self.follower(extension, f"{self.place.name}_sensor", extension.at(self.place))
+        y = self.follower(extension, extension.at(self.place))
         extension.put(self.place, y)
         return extension.model()
 
@@ -448,14 +466,14 @@ class Saturation(_Limited):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class InputLag(Lag):
-    """A first-order actuator: tau z' + z = u, from a steady start, and z acts."""
+    """A first-order actuator: tau z' + z = u, and z acts."""
 
     stage: int = 3
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = ExtensionBuilder(model, self, start)
         name = self.place.name
-        extension.replace_input(name, self.follower(extension, f"{name}_lag", Expr.symbol(name)))
+        extension.replace_input(name, self.follower(extension, Expr.symbol(name)))
         return extension.model()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from ..._core import Expr, bouc_wen, lagged
 from ...functions import exp, smooth_abs, smooth_sign, sqrt, tanh
 from ...modelling.model import Model
 from ...sensitivities import Place, Points
-from .candidate import Effect, ExtensionBuilder, largest_coefficient
+from .candidate import Candidate, Effect, ExtensionBuilder, largest_coefficient
 from .scales import evaluated, lag_bounds, lag_grid, longest_lag, mode_grid, of, rate_key, second_order
 
 __all__ = ["FlexibleMode", "Hysteresis", "Stall", "Stribeck"]
@@ -232,12 +232,27 @@ class Stall(Effect):
         }
 
 
+# Times of the largest force on a mode that its amplitude may be when a record begins.
+_BEGUN = 3.0
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class FlexibleMode(Effect):
     """A lightly damped mode that what stands at the place excites, and that acts there: it becomes it + c z with
-    z'' = w^2 (it - z) - 2 zeta w z', and at rest at first, with z as large as it is."""
+    z'' = w^2 (it - z) - 2 zeta w z', and at rest at first, with z as large as it is, or in motion."""
 
     stage: int = 5
+    steady: bool = True
+
+    @property
+    def unsteady(self) -> Candidate | None:
+        return replace(self, steady=False) if self.steady else None
+
+    def begins_within(self, states: Mapping[str, _Array], points: Points, shape: Mapping[str, float]) -> bool:
+        """Return whether it begins with no more than a few times the motion that it is excited to."""
+        largest = _BEGUN * float(np.abs(self._it(points)).max())
+        z, rate = (states[name][0] for name in self._states)
+        return bool(np.hypot(z, rate / shape[self.shape_names[0]]) < largest)
 
     @property
     def several_starts(self) -> bool:
@@ -282,7 +297,7 @@ class FlexibleMode(Effect):
         def right(z: Expr, rate: Expr) -> tuple[Any, Any]:
             return rate, w**2 * (it - z) - 2 * zeta * w * rate
 
-        z, _ = extension.states(self._states, right, (it, 0.0))
+        z, _ = extension.states(self._states, right, (it, 0.0) if self.steady else (None, None))
         extension.add(self.place, c * z)
         return extension.model()
 

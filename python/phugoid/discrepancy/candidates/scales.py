@@ -193,11 +193,19 @@ class Scales:
         """Return whether a variable is above zero but for little, as far as is known."""
         return name not in self.low or (self.low[name] + self.high[name] > 0.0 and not self.crosses(name))
 
+    def is_a_distance(self, name: str) -> bool:
+        """Return whether a position may be a distance from a place on one side: that of a fit which does not know what
+        acts there may go a little beyond it."""
+        return name not in self.low or self.low[name] > -_BEYOND * self.high[name]
+
 
 def has_powers(low: float, high: float) -> bool:
     """Return whether values between two stay well above zero, so that any power of them is defined."""
     return low > _ABOVE * high
 
+
+# Part of the greatest distance by which a path may go beyond where it begins.
+_BEYOND = 0.2
 
 # Part of the integral of an input's size that it adds up to, from which on it is an amount that is used; and the part
 # of it by which that departs from a straight line, below which it says no more than the time does.

@@ -361,7 +361,7 @@ class Decaying(Effect):
     the ``variables``, y, c y exp(-x / s): a thrust that is larger near the ground (Cheeseman and Bennett 1955)."""
 
     def worthwhile(self) -> bool:
-        return super().worthwhile() and self.scales.is_positive(self.variables[0])
+        return super().worthwhile() and self.scales.is_a_distance(self.variables[0])
 
     @property
     def _origin(self) -> float:

@@ -51,6 +51,8 @@ _WORKERS = 4
 # Of a trim that is estimated, in parts of the range of the variable: the step of the derivative, the longest step of
 # the estimate; steps; and the gain in log-likelihood of a step that ends it.
 _CENTRE_STEP, _FARTHEST_CENTRE, _CENTRINGS, _SETTLED = 0.02, 0.3, 8, 0.5
+# The gain in log-likelihood by a free initial state of each record: chance exceeds it once in two thousand times.
+_UNSTEADY = 6.0
 # The gain in log-likelihood that the centre of a limit must promise, of which no trim need be the middle.
 _CLEARLY = 8.0
 
@@ -129,6 +131,7 @@ class RefitCache:
                 other = self._likeliest([*candidates[:-1], variant], starts, near)
                 if other is not None and other.fit.log_likelihood > found.fit.log_likelihood - less:
                     found = other
+            found = self._begun_anywhere(found)
             try:
                 if found is not None and candidates and is_limit(candidates[-1]):
                     found = self.about_own_centre(found, candidates[-1], _CLEARLY, found.own.filter)
@@ -146,6 +149,24 @@ class RefitCache:
             }
             self._refits |= dict(zip(part, _side_by_side(one, [*part.values()]), strict=True))
         return [self._refits[key] for key in keys]
+
+    def _begun_anywhere(self, found: Refit | None) -> Refit | None:
+        """Return a refit with states of its last candidate that begin anywhere, where the records show that the motion
+        was not steady before them."""
+        unsteady = found.candidates[-1].unsteady if found is not None and found.candidates else None
+        if found is None or unsteady is None:
+            return found
+        points = self.base.linear.points
+        other = refit(self.base.fit, [*found.candidates[:-1], unsteady], {}, found.fit, points)
+        if other is None:
+            return found
+        known, left = (sum(kind == "initial" for kind, _ in r.fit.model._right_hand_sides()) for r in (found, other))
+        needed = _UNSTEADY * (known - left) * len(found.fit.records)
+        if other.fit.log_likelihood < found.fit.log_likelihood + needed:
+            return found
+        shape = {n: other.fit.parameters[n].value for n in unsteady.shape_names}
+        begun = zip(other.fit.records, points, strict=True)
+        return other if all(unsteady.begins_within(r.mesh_states, p, shape) for r, p in begun) else found
 
     def again(self, candidates: Sequence[Candidate], near: FitResult) -> Refit | None:
         """Return the refit of a set, begun once more from a fit with more terms where it may have ended at another

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._core import Expr
+from ...initialisation import measured_states
 from ...modelling.model import Model
 from ...residual_noise.whitening import Filter, Whitening
 from ..candidates.candidate import Candidate, Effect, is_function
@@ -290,7 +291,26 @@ class Screen:
             # What a large term does is not what it does to first order: functions of one variable part there.
             (variable,) = candidate.variables
             found += [c for c in self.functions(at, variable, filter, _FUNCTIONS) if c.place == candidate.place]
+        if candidate.place.kind in ("equation", "quantity") and self._is_hidden:
+            found += self._lever_arms(scan, statistics)
         return list({c.name: c for c in found}.values())
+
+    @cached_property
+    def _is_hidden(self) -> bool:
+        """Return whether no output measures some of the states."""
+        model, known = self._cache.base.fit.model, self._cache.base.fit.parameters
+        values = {n: known[n].value if n in known else p.start for n, p in model.declared_parameters.items()}
+        return len(measured_states(model, values)) < len(model.state_names)
+
+    def _lever_arms(self, scan: Scan, statistics: Statistics) -> list[Candidate]:
+        """Return sensors at a distance from the centre of gravity. With another state in place of one that is not
+        measured, w + l q in place of w, they are the same as terms in the equations, at parameters that are far off."""
+        model = self._cache.base.fit.model
+        found = {c.name: i for i, (c, _) in enumerate(scan.effects) if plausibility(c, model)[0] == 0}
+        for name, i in found.items():
+            if not self._cache.has_start(name):
+                self._cache.remember(scan.effects[i][0], scan.effects[i][1], statistics.amplitudes[i])
+        return [scan.effects[i][0] for i in found.values()]
 
     def alike(self, at: Refit, candidate: Candidate, filter: Filter) -> list[Candidate]:
         """Candidates whose effect on the outputs through a filter is nearly the same, the nearest first."""

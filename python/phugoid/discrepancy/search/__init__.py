@@ -33,7 +33,8 @@ class SearchSettings:
     """Settings of all stages, and ``most`` findings: what is left then is for another diagnosis, of the extended
     model. The search ends after ``minor`` steps one after the other that explain next to nothing. Where the screen
     proposes nothing that is confirmed, though the part ``error`` of the residuals' power is predictable, constants and
-    linear terms are tried all, and where the part ``doubt`` is, twice as many as the screen proposes. Where no more
+    linear terms are tried all, and where the part ``doubt`` is, twice as many as the screen proposes, and those that
+    are confirmed beside one of the ``pairs`` likeliest that are not. Where no more
     than ``structure`` is predictable, nothing is unexplained. The trim of a function of one variable is estimated where
     that gains more than ``centre`` in log-likelihood, and with it a term less is as good within ``same``.
     A cause gives way to another one that is ahead of it by ``ahead`` in twice the log-likelihood beside the others, and
@@ -45,6 +46,7 @@ class SearchSettings:
     assessment: AssessmentSettings = field(default_factory=AssessmentSettings)
     most: int = 4
     minor: int = 2
+    pairs: int = 2
     error: float = 0.5
     doubt: float = 0.3
     structure: float = 0.05
@@ -178,6 +180,7 @@ class Search:
                 further, _ = self.confirmation.accepted(current, self.refitting.tries(current, times=2))
                 # Only causes are searched for so far, no minor findings.
                 following = further if further is not None and not self._is_minor(current, further) else None
+                following = following or self._pair(current)
             if following is None or following.names in seen:
                 break
             seen.add(following.names)
@@ -188,6 +191,20 @@ class Search:
             if minor == self.settings.minor:  # what comes next would be less
                 break
         return unexplained
+
+    def _pair(self, current: Refit) -> Refit | None:
+        """Return the refit with two more terms that are confirmed together, where none is alone; None where there are
+        none. Of two causes one may hide the other: a lag of a sensor is what coloured noise does not explain, and
+        simulates no better as long as a large error of the forces is in the simulation, which coloured noise explains.
+        """
+        likely = [t for t in self.refitting.tries(current) if t.candidates[-1].transferable]
+        margins = {t.names: self.assessment.margin(current, t) for t in likely}
+        likely = [t for t in likely if margins[t.names] > 0.0 and is_physical(t, t.candidates[-1])]
+        for first in sorted(likely, key=lambda t: -margins[t.names])[: self.settings.pairs]:
+            found, _ = self.confirmation.accepted(first, self.refitting.tries(first))
+            if found is not None and len(found.beside(current.candidates)) == 2 and not self._is_minor(current, found):
+                return found
+        return None
 
     def _centred(self, at: Refit) -> Refit:
         """Return the refit with its last function of a variable about the trim that the data ask for; without a term

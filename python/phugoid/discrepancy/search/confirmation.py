@@ -168,6 +168,7 @@ class ConfirmationSettings:
     ringing  candidates that are refitted where residuals ring.
     vuong    an alternative is an alias unless Vuong's test distinguishes them by this, or it has less than half of the
              gain in log-likelihood and is ``far`` behind.
+    equal    log-likelihood by which one may be behind that is the same, however certain that is.
     richer   log-likelihood by which one with more unknowns must be ahead to be an alias.
     left     times as much of the misfit that a term may leave that stands in place of one with more unknowns.
     alias    part of what a cause explains that an alternative explains, too, be it clearly less in free simulation.
@@ -180,6 +181,7 @@ class ConfirmationSettings:
     ringing: int = 2
     vuong: float = 2.0
     far: float = 30.0
+    equal: float = 0.5
     richer: float = 6.0
     left: float = 1.1
     least: float = 0.01
@@ -424,7 +426,8 @@ class Confirmation:
             if gain < 0.5 * whole and whole - gain > self.settings.far:
                 continue
             like = other.name in alike and gain > 0.5 * whole and not (clean and d.sum() > self.settings.beyond)
-            if not like and float(d.sum()) >= self.settings.vuong * float(np.sqrt(d.size) * d.std()):
+            apart = max(self.settings.vuong * float(np.sqrt(d.size) * d.std()), self.settings.equal)
+            if not like and float(d.sum()) >= apart:
                 continue
             explained = assess.explained(without, r)  # last, for it takes a fit to the data held out
             much = explained is None or own is None or explained.part > self.settings.alias * own.part

@@ -12,12 +12,12 @@ import numpy as np
 
 from ..candidates.candidate import Candidate
 from ..candidates.variation import CommonJump
-from .admissibility import is_physical
+from .admissibility import is_determined, is_physical
 from .evidence import Assessment, Evidence
 from .free_run import Explained
 from .refit import HeldOut, Refit, is_structured
 from .refit_cache import RefitCache
-from .screen import RICH, Screen, complexity, is_as_good, is_late
+from .screen import RICH, Screen, complexity, is_as_good, is_equal, is_late
 
 __all__ = [
     "Confirmation",
@@ -144,7 +144,7 @@ class Refitting:
             wanted = self._screen.alternatives(without, candidate, filter, s.again, s.alike)
             wanted = [c for c in wanted if not self._is_hopeless(at, candidate, c)]
             self._cache.refits([[*others, c] for c in wanted], at.fit)
-        refits = [r for r in self._cache.with_one_more(others) if assess.is_admissible(without, r)]
+        refits = [r for r in self._cache.with_one_more(others) if self._is_admitted(without, r, at, candidate)]
         reference = at.through(filter).log_likelihood - assess.penalty(at, others) / 2
 
         def margin(r: Refit) -> float:
@@ -154,6 +154,14 @@ class Refitting:
         if not any(r is at for r, _ in pairs):
             pairs.append((at, 0.0))
         return sorted(pairs, key=lambda pair: (-pair[1], pair[0] is not at))
+
+    def _is_admitted(self, without: Refit, other: Refit, at: Refit, candidate: Candidate) -> bool:
+        """Return whether another refit takes part. What is exactly as likely as a force follows no noise of a sensor,
+        for a force follows none."""
+        if self._assessment.is_admissible(without, other):
+            return True
+        determined = all(is_determined(other, c) for c in other.beside(without.candidates))
+        return candidate.place.kind in ("equation", "quantity") and determined and is_equal(at, other)
 
 
 # Part of the misfit of other data that is most of it.

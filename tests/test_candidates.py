@@ -575,6 +575,8 @@ def test_wrong_options_and_wrong_extensions_are_refused(
         KeyError, match="there is no candidate 'Cx:.*Effects that the parameters of the model can represent"
     ):
         library.without("Cx:*")
+    with pytest.raises(KeyError, match="Disturbances, .* are no candidates: a diagnosis tries them by itself"):
+        library.only("*:noise")
     with pytest.raises(ph.ModelError, match="'Cm:alpha\\*q' is given twice"):
         library + library.only("Cm:alpha*q")
     c = library["Cm:alpha*q"]

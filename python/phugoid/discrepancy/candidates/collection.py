@@ -37,6 +37,21 @@ __all__ = [
 
 # Whoever looks for the scale of an input whose derivatives are free does not find it.
 _LEFT_OUT = " Effects that the parameters of the model can represent are left out."
+# What a diagnosis compares with all candidates, and is none of them.
+_NO_TERMS = ("noise", "event", "hold", "cubic", "clock", "f(")
+
+
+def _unknown(wanted: str, known: Mapping[str, Candidate]) -> UnknownName:
+    """Return the error for a name or a pattern that no candidate has."""
+    _, _, kind = wanted.rpartition(":")
+    if kind.strip("*").startswith(_NO_TERMS):
+        why = (
+            " Disturbances, unknown functions and what an input does between its samples are no candidates: a "
+            "diagnosis tries them by itself."
+        )
+    else:
+        why = f"{did_you_mean(wanted, known)}{_LEFT_OUT}"
+    return UnknownName(f"there is no candidate '{wanted}'.{why}")
 
 
 class Candidates(Sequence[Candidate]):
@@ -79,7 +94,7 @@ class Candidates(Sequence[Candidate]):
             return Candidates(self._all[key])
         if isinstance(key, str):
             if key not in self._by_name:
-                raise UnknownName(f"there is no candidate '{key}'.{did_you_mean(key, self._by_name)}{_LEFT_OUT}")
+                raise _unknown(key, self._by_name)
             return self._by_name[key]
         return self._all[key]
 
@@ -120,9 +135,7 @@ class Candidates(Sequence[Candidate]):
             # A product's own star is no wild card.
             fits = {pattern} if pattern in self._by_name else {n for n in self._by_name if fnmatchcase(n, pattern)}
             if not fits:
-                raise UnknownName(
-                    f"there is no candidate '{pattern}'.{did_you_mean(pattern, self._by_name)}{_LEFT_OUT}"
-                )
+                raise _unknown(pattern, self._by_name)
             found |= fits
         return found
 

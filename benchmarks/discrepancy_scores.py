@@ -3,7 +3,7 @@
 import sys
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -136,21 +136,30 @@ def diagnosed(
 def kept_promise(case: hidden.Case, fit: Any, d: Any) -> tuple[float, tuple[float, float]] | None:
     """Return the part of the misfit of a third record that the only named cause explains in free simulation, and the
     interval that was promised for it; None where the case has not one effect, and that named."""
-    from phugoid.discrepancy.search.free_run import Misfitting, Simulated
-    from phugoid.discrepancy.search.refit import Refit, on_other_data
-    from phugoid.errors import PhugoidError
+    from phugoid.discrepancy.search.refit import Refit
 
     named = [f for f in d.findings if f.status == "named"]
     if len(case.truth) != 1 or len(named) != 1 or case.truth[0] not in (named[0].cause, *named[0].aliases):
         return None
     if named[0].explained_in != "data held out" or not np.isfinite(named[0].explained_another).all():
         return None
+    parts = explained_of(case.more, Refit((), fit), Refit((), d.extend().fit))
+    return None if parts is None else (float(parts[0].part), tuple(map(float, named[0].explained_another)))
+
+
+def explained_of(records: Sequence[Any], base: Any, *refits: Any) -> list[Any] | None:
+    """Return what each of some refits explains in free simulation of the misfit of records that a base leaves; None
+    where one of them cannot be fitted there."""
+    from phugoid.discrepancy.search.free_run import Misfitting, Simulated
+    from phugoid.discrepancy.search.refit import on_other_data
+    from phugoid.errors import PhugoidError
+
     try:
-        before, after = (on_other_data(Refit((), f), case.more) for f in (fit, d.extend().fit))
+        before, *after = (on_other_data(r, records) for r in (base, *refits))
     except PhugoidError:
         return None
-    part = Simulated.of(after).explained(Simulated.of(before), Misfitting.of(before)).part
-    return float(part), tuple(map(float, named[0].explained_another))
+    without, misfit = Simulated.of(before), Misfitting.of(before)
+    return [Simulated.of(linear).explained(without, misfit) for linear in after]
 
 
 def promises(outcomes: Iterable[Outcome]) -> list[list[str]]:
@@ -158,9 +167,10 @@ def promises(outcomes: Iterable[Outcome]) -> list[list[str]]:
     counts: dict[str, Counter] = defaultdict(Counter)
     for o in outcomes:
         for group in (o.strength, "all") if o.promise is not None else ():
-            part, (low, high) = o.promise
+            part, promised = o.promise
+            side = "below" if part < promised[0] else "above"
             counts[group]["all"] += 1
-            counts[group]["below" if part < low - 0.01 else "above" if part > high + 0.01 else "within"] += 1
+            counts[group]["within" if within(part, promised) else side] += 1
     order = sorted(counts.items(), key=lambda item: (item[0] == "all", item[0]))
     return [[name, *(share(c[key], c["all"]) for key in ("within", "below", "above"))] for name, c in order]
 
@@ -189,19 +199,13 @@ def explains_as_much(case: hidden.Case, fit: Any, named: Any) -> bool:
     Many effects act alike in a band of frequencies and a range of motion: a lag and a delay, a rate's cube and its
     square with the sign. Then it is right to name either.
     """
-    from phugoid.discrepancy.search.free_run import Misfitting, Simulated
-    from phugoid.discrepancy.search.refit import Refit, on_other_data
-    from phugoid.errors import PhugoidError
+    from phugoid.discrepancy.search.refit import Refit
 
     truth = _with_truth(case, fit)
-    if truth is None:
+    parts = explained_of([case.validation], Refit((), fit), Refit((), named), truth) if truth is not None else None
+    if parts is None:
         return False
-    try:
-        before, one, other = (on_other_data(r, [case.validation]) for r in (Refit((), fit), Refit((), named), truth))
-    except PhugoidError:
-        return False
-    without, misfit = Simulated.of(before), Misfitting.of(before)
-    mine, its = (Simulated.of(after).explained(without, misfit) for after in (one, other))
+    mine, its = parts
     return within(mine.part, its.interval) and within(its.part, mine.interval)
 
 

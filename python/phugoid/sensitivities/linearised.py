@@ -38,7 +38,7 @@ _DEPENDENT = "diagnose: the fit cannot be linearised: its equations depend on ea
 
 
 class _AlongPaths(NamedTuple):
-    """What was evaluated along the path of each experiment.
+    """Hold what was evaluated along the path of each experiment.
 
     slopes         place -> (n_x, mesh points) derivatives of f by what is added there.
     direct         place -> (n_y, samples) derivatives of g by the same.
@@ -189,7 +189,7 @@ class Linearised:
         return self._evaluated_along()[0]
 
     @cached_property
-    def _problem(self) -> Any:
+    def _problem(self) -> _core.Collocation:
         """Return the problem, which keeps its last factorisation."""
         inner, names = self.inner, self.model.output_names
         assert isinstance(inner.transcription, Collocation)
@@ -230,8 +230,8 @@ class Linearised:
     def n_unknowns(self) -> int:
         """Number of free parameters of the model and initial states, less the conditions on these."""
         problem = self._problem
-        free: int = problem.n_theta - len(self._held())
-        return free + int(problem.n_states) * len(self.inner.records) - len(problem.boundary_states)
+        free = problem.n_theta - len(self._held())
+        return free + problem.n_states * len(self.inner.records) - len(problem.boundary_states)
 
     @cached_property
     def moves(self) -> tuple[_Array, _Array]:

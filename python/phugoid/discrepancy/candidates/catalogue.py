@@ -298,7 +298,7 @@ class Catalogue:
     def _near_the_ground(self, place: Place) -> Iterator[Effect]:
         """Yield what decays with a position, unless that is an angle or the place is what its own rate is; alone, and
         in proportion to an input or a state that acts there, such as a thrust."""
-        shown, base, units = self.structure.shown(place), stem(place), self.structure.model.variable_units
+        units = self.structure.model.variable_units
         symbols = {*self.structure.expression(place).symbols} - {place.name}
         acting = [w for w in self.structure.variables if w.symbol in symbols and self._is_force(w)]
         for v in self.structure.variables:
@@ -306,25 +306,30 @@ class Catalogue:
                 continue
             if self.structure.is_angle(v) or place.name == v.symbol:
                 continue
-            words = f"{where(place)} contains a part that decays with {v.shown} (ground effect, a wall, a magnet)"
-            yield self._decaying(place, f"{shown}:exp(-{v.shown})", f"{base}_near_{v.shown}", words, v)
+            decays = f"decays with {v.shown}"
+            yield self._decaying(place, f"a part that {decays} (ground effect, a wall, a magnet)", v)
             for w in acting:
-                words = f"{where(place)} contains a part in proportion to {w.shown} that decays with {v.shown} " + (
-                    "(ground effect on a thrust, a magnet)"
-                )
-                name = f"{shown}:{w.shown}*exp(-{v.shown})"
-                yield self._decaying(place, name, f"{base}_{w.shown}_near_{v.shown}", words, v, w)
+                part = f"a part in proportion to {w.shown} that {decays} (ground effect on a thrust, a magnet)"
+                yield self._decaying(place, part, v, w)
 
     def _is_force(self, variable: Variable) -> bool:
         """Return whether a variable may be a force or what makes one: an input, or a state that is no motion."""
         moves = variable.rate or self.structure.is_position(variable) or self.structure.is_angle(variable)
         return variable.kind == "input" or (variable.kind == "state" and not moves)
 
-    def _decaying(self, place: Place, title: str, coefficient: str, words: str, *variables: Variable) -> Decaying:
-        distance = f"distance_{coefficient.replace('_near', '')}"
-        symbols = tuple(v.symbol for v in variables)
-        names = (self.names(coefficient),), (self.names(distance),)
-        return Decaying(title, place, words, "decay", self.scales, *names, variables=symbols)
+    def _decaying(self, place: Place, part: str, position: Variable, *factors: Variable) -> Decaying:
+        title = "*".join([*(w.shown for w in factors), f"exp(-{position.shown})"])
+        base = "_".join([stem(place), *(w.shown for w in factors)])
+        return Decaying(
+            f"{self.structure.shown(place)}:{title}",
+            place,
+            f"{where(place)} contains {part}",
+            "decay",
+            self.scales,
+            (self.names(f"{base}_near_{position.shown}"),),
+            (self.names(f"distance_{base}_{position.shown}"),),
+            variables=tuple(v.symbol for v in (position, *factors)),
+        )
 
     def _with_memory(self, place: Place) -> Iterator[Effect]:
         """Friction that is larger at rest, hysteresis of what moves, and a mode."""

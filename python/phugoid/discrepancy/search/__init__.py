@@ -168,7 +168,8 @@ class Search:
         seen: set[tuple[str, ...]] = set()
         minor = 0
         while len((current := steps[-1]).candidates) < self.settings.most:
-            following, unexplained = self.confirmation.accepted(current, self.refitting.tries(current))
+            tries = self.refitting.tries(current)
+            following, unexplained = self.confirmation.accepted(current, tries)
             if following is None and not current.candidates and is_structured(current, self.settings.error):
                 # What a candidate does to first order says little of what a fit with it does.
                 following = self._plain(current)
@@ -180,7 +181,7 @@ class Search:
                 further, _ = self.confirmation.accepted(current, self.refitting.tries(current, times=2))
                 # Only causes are searched for so far, no minor findings.
                 following = further if further is not None and not self._is_minor(current, further) else None
-                following = following or self._pair(current)
+                following = following or self._pair(current, tries)
             if following is None or following.names in seen:
                 break
             seen.add(following.names)
@@ -192,12 +193,13 @@ class Search:
                 break
         return unexplained
 
-    def _pair(self, current: Refit) -> Refit | None:
-        """Return the refit with two more terms that are confirmed together, where none is alone; None where there are
-        none. Of two causes one may hide the other: a lag of a sensor is what coloured noise does not explain, and
-        simulates no better as long as a large error of the forces is in the simulation, which coloured noise explains.
+    def _pair(self, current: Refit, tries: Sequence[Refit]) -> Refit | None:
+        """Return the refit with two more terms that are confirmed together, where none of the refits with one is
+        confirmed alone; None where there are none. Of two causes one may hide the other: a lag of a sensor is what
+        coloured noise does not explain, and simulates no better as long as a large error of the forces is in the
+        simulation, which coloured noise explains.
         """
-        likely = [t for t in self.refitting.tries(current) if t.candidates[-1].transferable]
+        likely = [t for t in tries if t.candidates[-1].transferable]
         margins = {t.names: self.assessment.margin(current, t) for t in likely}
         likely = [t for t in likely if margins[t.names] > 0.0 and is_physical(t, t.candidates[-1])]
         for first in sorted(likely, key=lambda t: -margins[t.names])[: self.settings.pairs]:

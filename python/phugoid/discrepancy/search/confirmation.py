@@ -122,11 +122,11 @@ class Refitting:
             return False
         before = at.candidates[:-1]
         instead = [other if c is candidate else c for c in before]
-        refits = self._cache.known(before), self._cache.known(instead)
-        if any(r is None for r in refits):
+        first, second = self._cache.known(before), self._cache.known(instead)
+        if first is None or second is None:
             return False
-        first, second = (r.fit.log_likelihood for r in refits if r is not None)
-        return first - second > self.settings.hopeless * (at.fit.log_likelihood - first)
+        behind, gained = (a.fit.log_likelihood - b.fit.log_likelihood for a, b in ((first, second), (at, first)))
+        return behind > self.settings.hopeless * gained
 
     def _apart(self, at: Refit, one: Candidate, other: Candidate) -> bool:
         """Return whether the estimates of two candidates hardly depend on each other: none casts doubt on the other."""
@@ -160,8 +160,9 @@ class Refitting:
         for a force follows none."""
         if self._assessment.is_admissible(without, other):
             return True
-        determined = all(is_determined(other, c) for c in other.beside(without.candidates))
-        return candidate.place.kind in ("equation", "quantity") and determined and is_equal(at, other)
+        if candidate.place.kind not in ("equation", "quantity") or not is_equal(at, other):
+            return False
+        return all(is_determined(other, c) for c in other.beside(without.candidates))
 
 
 # Part of the misfit of other data that is most of it.

@@ -146,9 +146,7 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
     search.cache.watch("looking for a disturbance in what is left")
     # Beside terms that explain next to nothing, all is as without them.
     at = full if result.final.names else base
-    options = _options(
-        at, known, s, not is_structured(full, s.structure), _left_by_terms(search, at) >= _least(search, at, s)
-    )
+    options = _options(at, known, s, not is_structured(full, s.structure), not _is_too_little(search, at, s))
     terms = result.final.candidates
     part = search.assessment.explained(base, result.final) if terms else None
     predicts = part is not None and part.part >= s.most and all(c.transferable for c in terms)
@@ -345,7 +343,7 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         return None
     gain = option.merit - coloured
     other = search.cache.on_validation(option.at)
-    if min(_share(search, option.at, d), _left_by_terms(search, option.at)) < _least(search, option.at, s):
+    if _is_too_little(search, option.at, s, _share(search, option.at, d)):
         return None
     held_out = float("nan")
     if d.kind in ("noise", "event"):
@@ -378,17 +376,15 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
     )
 
 
-def _left_by_terms(search: Search, at: Refit) -> float:
-    """Return the part of the misfit that terms leave: what they explain in free simulation is no disturbance."""
+def _is_too_little(search: Search, at: Refit, s: RemainderSettings, share: float = 1.0) -> bool:
+    """Return whether a ``share`` of the misfit, or what the terms of a refit leave of it, is too little for a
+    disturbance beside them."""
+    # What the terms explain in free simulation is no disturbance.
     by_terms = search.assessment.explained(search.cache.base, at) if at.candidates else None
-    return 1.0 - by_terms.part if by_terms is not None else 1.0
-
-
-def _least(search: Search, at: Refit, s: RemainderSettings) -> float:
-    """Return the least part of the misfit that a disturbance beside terms takes up. A parameter that drifts seldom does
-    so along a straight line, and what is left of that is no noise."""
+    left = 1.0 - by_terms.part if by_terms is not None else 1.0
+    # A parameter that drifts seldom does so along a straight line, and what is left of that is no noise.
     drifts = any(getattr(c, "family", "") == "variation" for c in at.candidates)
-    return s.beside_drift if drifts else search.assessment.settings.minor
+    return min(share, left) < (s.beside_drift if drifts else search.assessment.settings.minor)
 
 
 def _moves(linear: Linearised, d: Disturbance, s: RemainderSettings) -> bool:

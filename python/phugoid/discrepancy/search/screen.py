@@ -4,7 +4,7 @@ several terms that explain the same data equally well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -307,10 +307,7 @@ class Screen:
         measured, w + l q in place of w, they are the same as terms in the equations, at parameters that are far off."""
         model = self._cache.base.fit.model
         found = {c.name: i for i, (c, _) in enumerate(scan.effects) if plausibility(c, model)[0] == 0}
-        for name, i in found.items():
-            if not self._cache.has_start(name):
-                self._cache.remember(scan.effects[i][0], scan.effects[i][1], statistics.amplitudes[i])
-        return [scan.effects[i][0] for i in found.values()]
+        return self._with_starts(scan, statistics, found.values())
 
     def alike(self, at: Refit, candidate: Candidate, filter: Filter) -> list[Candidate]:
         """Candidates whose effect on the outputs through a filter is nearly the same, the nearest first."""
@@ -392,11 +389,15 @@ class Screen:
         thresholds = self._thresholds(scan)
         found = {n: (cosine, i) for n, (cosine, i) in found.items() if thresholds[i] < np.inf}
         order = sorted(found, key=lambda n: -found[n][0])
-        for name in order:
-            if not self._cache.has_start(name):
-                i = found[name][1]
-                self._cache.remember(scan.effects[i][0], scan.effects[i][1], statistics.amplitudes[i])
-        return [scan.effects[found[n][1]][0] for n in order]
+        return self._with_starts(scan, statistics, [found[n][1] for n in order])
+
+    def _with_starts(self, scan: Scan, statistics: Statistics, effects: Iterable[int]) -> list[Candidate]:
+        """Return the candidates of some effects, and have their refits start there unless another start is known."""
+        found = [(scan.effects[i], statistics.amplitudes[i]) for i in effects]
+        for (candidate, shape), amplitudes in found:
+            if not self._cache.has_start(candidate.name):
+                self._cache.remember(candidate, shape, amplitudes)
+        return [candidate for (candidate, _), _ in found]
 
 
 def _gains_beside(columns: _Array, errors: _Array) -> tuple[float, _Array]:

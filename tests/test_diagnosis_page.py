@@ -317,7 +317,7 @@ def test_summary_has_evidence_rivals_and_what_is_open(diagnosis: Any) -> None:
 def test_summary_says_how_near_the_best_candidate_came(diagnosis: Any) -> None:
     diagnosis.findings = []
     diagnosis.ranking = [dataclasses.replace(diagnosis.ranking[0], name="q':q^2", statistic=9.5)]
-    assert "The best of 1 candidates is q':q^2, with a gain of 9.5" in diagnosis_summary(diagnosis)
+    assert "The best candidate is q':q^2, with a gain of 4.8 in log-likelihood" in diagnosis_summary(diagnosis)
 
 
 def test_gain_in_words(extension: Extension) -> None:
@@ -378,8 +378,8 @@ def test_ranking_figure_has_the_best_in_order(diagnosis: Any) -> None:
     _, axes = ranking_figure(list(reversed(diagnosis.ranking)), 17.0)
     axis = axes["ranking"]
     assert [text.get_text() for text in axis.get_yticklabels()] == [f"q':term{i}" for i in range(12)]
-    assert [bar.get_width() for bar in axis.patches] == [s.statistic for s in diagnosis.ranking[:12]]
-    assert any(line.get_xdata()[0] == 17.0 for line in axis.get_lines())
+    assert [bar.get_width() for bar in axis.patches] == [s.statistic / 2 for s in diagnosis.ranking[:12]]
+    assert any(line.get_xdata()[0] == 8.5 for line in axis.get_lines())
     with pytest.raises(DataError, match="no candidates"):
         ranking_figure([], 17.0)
 

@@ -106,8 +106,8 @@ def near(statistic: float) -> Any:
 
 
 def test_how_near_the_best_candidate_came() -> None:
-    text = "The best of 2 candidates is q:bias, with a gain of {} in twice the log-likelihood (threshold 19.8)"
-    assert _nearest(near(15.6)) == text.format(15.6) + "."
-    assert _nearest(near(25.0)) == text.format("25.0") + (
+    text = "The best candidate is q:bias, with a gain of {} in log-likelihood (threshold 9.9)"
+    assert _nearest(near(15.6)) == text.format(7.8) + "."
+    assert _nearest(near(25.0)) == text.format(12.5) + (
         " to first order. It was rejected when it was estimated with the model, or by held-out data."
     )

@@ -36,7 +36,7 @@ def test_one_fit_in_per_cent_of_the_estimate() -> None:
     found = bars(axis)
     np.testing.assert_allclose([b[:2] for b in found], [(-9.8, 9.8), (-19.6, 19.6)], rtol=1e-4)
     assert axis.get_xlabel() == "95 % interval, % of the estimate"
-    assert [t.get_text() for t in axis.texts] == ["−2.00 ± 0.20 1/s", "40 ± 8 1/s"]
+    assert [t.get_text() for t in axis.texts] == ["−2.00 ± 0.10 1/s", "40 ± 4 1/s"]
     assert axis.yaxis_inverted()
 
 

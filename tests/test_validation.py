@@ -117,6 +117,11 @@ def test_initial_states_of_the_first_samples_then_simulation(fit: ph.Fit) -> Non
         assert v.residuals[name] == pytest.approx(e.output(name) - v.records[0].outputs[name])
         assert v.matches[name].samples == 120 and v.matches[name].rms < 2 * SIGMA[name] < other.matches[name].rms
     assert v.re_estimated["b"].std_error > 1.5 * fit.validate(e).re_estimated["b"].std_error
+    # All measured values but two initial states and the bias; what the initial states are wrong by adds to chi-square.
+    values = sum(np.isfinite(e.output(n)).sum() for n in SIGMA)
+    assert v.degrees_of_freedom == values - 3 == fit.validate(e).degrees_of_freedom
+    assert fit.validate(e).chi_square < v.chi_square < 2 * v.degrees_of_freedom < other.chi_square
+    assert "from the first 30 samples of each experiment, simulated from there on" in v.summary()
     with pytest.raises(OptionError, match="initial_samples is a whole number from 1, not 0"):
         fit.validate(e, initial_samples=0)
 

@@ -112,7 +112,7 @@ class Diagnosis(DiagnosisResult, Generic[_F]):
         return self.misfit.plot(channels)
 
     def plot_ranking(self) -> tuple[Figure, dict[str, Axes]]:
-        """Plot by how much each of the best candidates would raise twice the log-likelihood, to first order.
+        """Plot by how much each of the best candidates would raise the log-likelihood, to first order.
 
         Returns the figure and the axes by ``"ranking"``. Raises DataError where no candidates were ranked.
         """

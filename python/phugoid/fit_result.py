@@ -41,7 +41,7 @@ class FitResult:
 
     parameters      by name, what was estimated of the noise (``sigma_<output>``, and more) among them.
     initial_states  experiment -> state -> estimate of the state at the first sample.
-    log_likelihood  of the measurements (Eq. ellz_defn), without the constant -N n_y/2 ln 2 pi, whatever the noise.
+    log_likelihood  of the measurements, without the constant -N n_y/2 ln 2 pi, whatever the noise.
     integrated_log_likelihood
                     the same of the model integrated with the estimates, independent of the mesh: of an estimation by
                     `Collocation` that a limit ended, and where samples are few and parameters determine the initial

@@ -138,6 +138,7 @@ def histories(record: Record, sigmas: Mapping[str, float] = {}, first: str = "")
         "variables": variables,
         "first": f"r {first}",
         "over": variables[:2],
+        "labels": {key: labelled(key[2:], record.units) for key in (*residuals, *variables)},
         "note": note,
         "unit": unit,
     }

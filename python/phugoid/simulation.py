@@ -235,8 +235,8 @@ class IntegrationError:
 def integration_error(fit: FitResult) -> tuple[IntegrationError, ...]:
     """Return the error that each segment of the mesh adds to the path, one for each experiment of a fit.
 
-    On a segment, collocation replaces f along the path by its polynomial through the segment's points (Eq. fhat_interp
-    of the paper). What f is in truth between the points, at those of a finer Lobatto rule, leaves a defect d; the error
+    On a segment, collocation replaces f along the path by its polynomial through the segment's points
+    (Dutra 2019). What f is in truth between the points, at those of a finer Lobatto rule, leaves a defect d; the error
     follows from the linearised state equations e' = f_x e + d, e = 0 at the start of the segment.
 
     Raises OptionError for a fit that was not transcribed by collocation, or has delays and no fit without them within,

@@ -36,7 +36,7 @@ Record = tuple[str, _Array, list[_Array], list[_Array], list[str], list[Signal |
 
 @dataclass(frozen=True)
 class Collocation:
-    """Legendre-Gauss-Lobatto collocation (Eq. oem_coll of the paper).
+    """Legendre-Gauss-Lobatto collocation (Dutra, AIAA Aviation 2019).
 
     ``order`` is the number of points of a segment, ends included: 2 is the trapezoid, m integrates to order
     2m - 2. By default every interval between samples is a segment; ``substeps`` divides each further;
@@ -244,7 +244,7 @@ class _Shooting:
 
 @dataclass(frozen=True)
 class SingleShooting(_Shooting):
-    """Simulation from the first sample to the last (Eq. oem_ivp of the paper): unknowns are parameters and the
+    """Simulation from the first sample to the last (single shooting; Dutra 2019): unknowns are parameters and the
     initial states alone.
 
     The classical method, and a fragile one: where a simulation with poor parameters diverges, there is no likelihood
@@ -274,8 +274,9 @@ class SingleShooting(_Shooting):
 
 @dataclass(frozen=True)
 class MultipleShooting(_Shooting):
-    """Simulation segment by segment (Eq. oem_ms of the paper): the states where segments start are unknowns too, and
-    each segment ends where the next one starts.
+    """Simulation segment by segment (multiple shooting; Dutra 2019).
+
+    The states where segments start are unknowns too, and each segment ends where the next one starts.
 
     ``segments``: a number of equal segments, or the times of their ends (s), which need not be sample times (a list of
     such for several experiments). The other options are those of `SingleShooting`.

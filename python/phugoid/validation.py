@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .data.experiment import Experiment, as_experiments
 from .data.units import check_units
-from .errors import DataError, ModelError, OptionError, check_progress, counted, did_you_mean, finite, whole
+from .errors import ByName, DataError, ModelError, OptionError, check_progress, counted, did_you_mean, finite, whole
 from .estimation import estimate
 from .figures import fit as plot
 from .filter_error import FilterError
@@ -48,6 +48,12 @@ _Array = NDArray[np.float64]
 # Residuals are called coloured below this p-value, and their error an offset above this part of their mean square.
 _WHITE, _MOSTLY = 0.01, 0.5
 _WIDTH = 120  # of lines of text
+# Below the table of outputs.
+_COLUMNS = (
+    "Theil U: 0 for a perfect match; about mean: the same without the mean of the output. bias/var/cov: parts of the "
+    "mean square error from an offset, from the amplitude, and the rest. lag-1: correlation of a residual with the "
+    "next. p white: p-value of the test that residuals are white. inside: within the tolerance, where one is given."
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,6 +80,10 @@ class Validation:
     status          "converged", or what else happened; ``message`` says what to do then.
     warnings        in words.
     tolerances      output -> `Tolerance`, as given.
+    initial_samples  the number of samples at the beginning of each experiment that initial states and biases were
+                    estimated from; None: all. ``log_likelihood`` is that of these samples. ``chi_square`` and
+                    ``matches`` are of all samples: the error of the initial states, which the simulation carries on,
+                    adds to them.
 
     With process noise (`FilterError`) intensities are fixed too, initial states are integrated out, and outputs and
     residuals are those of predictions from the samples before, since the most probable path follows any measurements;
@@ -96,6 +106,7 @@ class Validation:
     message: str
     warnings: tuple[str, ...] = ()
     tolerances: Mapping[str, Tolerance] = field(default_factory=dict)
+    initial_samples: int | None = None
 
     held = Renamed("fixed")
     freed = Renamed("re_estimated")
@@ -129,6 +140,7 @@ class Validation:
             parts += [
                 f"{name} alone\n{text_table(*match_rows(each.values()))}" for name, each in self.by_experiment.items()
             ]
+        parts.append(textwrap.fill(_COLUMNS, _WIDTH))
         parts.append("\n".join(textwrap.fill(line, _WIDTH, subsequent_indent="  ") for line in self.in_words()))
         return "\n\n".join(parts) + "".join(f"\n\nWarning: {w}" for w in self.warnings)
 
@@ -163,6 +175,10 @@ class Validation:
             "re-estimated": ", ".join([counted(first, "initial state"), *self.re_estimated]),
             "log-likelihood": f"{self.log_likelihood:.3f} at the noise of the fit",
         }
+        if self.initial_samples is not None:
+            first_ones = counted(self.initial_samples, "sample") + " of each experiment"
+            entries["re-estimated"] += f"; from the first {first_ones}, simulated from there on"
+            entries["log-likelihood"] += ", of these samples"
         if self._predicted:
             entries["residuals"] = "of predictions from the samples before"
         if math.isfinite(self.chi_square):
@@ -256,14 +272,14 @@ def validate(
         warnings += (f"the initial states and biases were not found ({found.status}): {found.message}",)
     known = noise.known_sigmas(model.output_names)
 
-    total, measured = (math.nan, 0) if filtered else chi_square(noise, model.output_names, records)
-    degrees = _degrees(model, free, found)
+    total = math.nan if filtered else chi_square(noise, model.output_names, records)[0]
+    estimated = _estimated(model, free, found)
     # The noise is that of the fit, not one that was given: the validation itself reports how they compare.
-    known_warning = chi_square_warning(noise, model.output_names, found.records, measured - degrees)
+    known_warning = chi_square_warning(noise, model.output_names, found.records, estimated)
 
-    def matches(records: Sequence[Record]) -> dict[str, Match]:
+    def matches(records: Sequence[Record]) -> Mapping[str, Match]:
         sizes = {n: _predicted_std(records, n) if filtered else known.get(n, math.nan) for n in model.output_names}
-        return {n: match(records, n, sizes[n], limits.get(n)) for n in model.output_names}
+        return ByName("output", {n: match(records, n, sizes[n], limits.get(n)) for n in model.output_names})
 
     return Validation(
         model=model,
@@ -275,13 +291,14 @@ def validate(
         initial_states=found.initial_states,
         log_likelihood=found.log_likelihood,
         chi_square=total,
-        degrees_of_freedom=degrees,
+        degrees_of_freedom=_measured(model, records) - estimated,
         matches=matches(records),
-        by_experiment={r.name: matches([r]) for r in records},
+        by_experiment=ByName("experiment", {r.name: matches([r]) for r in records}),
         status=found.status,
         message="" if found.converged else found.message,
         warnings=(*warnings, *(w for w in found.warnings if w != known_warning)),
         tolerances=limits,
+        initial_samples=initial_samples,
     )
 
 
@@ -455,9 +472,13 @@ def _start(fit: FitResult, slim: Model, held: Mapping[str, float], free: Sequenc
     return start
 
 
-def _degrees(model: Model, free: Sequence[str], found: FitResult) -> int:
-    """Return the number of measured values minus that of estimated values."""
-    values = sum(int(np.isfinite(r.residuals[name]).sum()) for r in found.records for name in model.output_names)
+def _measured(model: Model, records: Sequence[Record]) -> int:
+    """Return the number of measured values."""
+    return sum(int(np.isfinite(r.measured[name]).sum()) for r in records for name in model.output_names)
+
+
+def _estimated(model: Model, free: Sequence[str], found: FitResult) -> int:
+    """Return the number of initial states and parameters that were estimated."""
     conditions = len({(end, state) for end, state, _ in model.end_conditions})
     states = max(len(model.state_names) - conditions, 0) * len(found.records)
-    return values - states - len(estimates_of(found.parameters, free))
+    return states + len(estimates_of(found.parameters, free))

@@ -82,7 +82,7 @@ _HIDDEN = 0.5, 0.5, 1.5
 # How a search ended before its end, in words.
 _EARLY = {"interrupted": "The search was interrupted", "time limit": "The search reached its time limit"}
 # Candidates without a direction of their own that a note names.
-_LOST_NAMED = 12
+_LOST_NAMED, _RECORDS_NAMED = 12, 4
 
 
 def diagnose(
@@ -500,7 +500,8 @@ def _notes(
     if others:
         what = "sensor biases" if free is None else ", ".join(free) or "nothing else"
         notes.append(
-            f"Gains were computed on {', '.join(e.name for e in others)}, with initial states and {what} re-estimated."
+            f"Gains were computed on {some([e.name for e in others], _RECORDS_NAMED)}, with initial states and {what} "
+            "re-estimated."
         )
     else:
         notes.append(

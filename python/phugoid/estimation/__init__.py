@@ -43,7 +43,7 @@ def estimate(
     solver: Newton | Ipopt | None = None,
     progress: bool | Callable[[Iteration], None] = False,
 ) -> FitResult:
-    """Estimate the parameters of a model from measured data by maximum likelihood (Eq. ml_loglike of the paper).
+    """Estimate the parameters of a model from measured data by maximum likelihood: the output-error method.
 
     ``data``: one experiment or several with shared parameters. Initial states are free.
     ``start``: values by name of parameters, of ``sigma_<output>`` (and what else the noise has) and of states (a number

@@ -39,7 +39,7 @@ def plot_parameters(
     zero. Of several: deviation from the estimate of the first fit, in its standard errors, so that its intervals are
     equally long and others are shown relative to its uncertainty. (A parameter that the first has no standard error of
     is scaled by the next fit that has one.) What reaches beyond the scale ends in an arrow, with the number
-    beside it. On the right is the estimate of the first fit ± 1.96 standard errors.
+    beside it. On the right is the estimate of the first fit ± its standard error, as in tables.
 
     fits    with .parameters; fits, regressions or anything else that has them.
     names   the parameters to show, in this order; None: those of the model, without the noise's.
@@ -181,11 +181,11 @@ def _percent(half: float) -> str:
 
 
 def _value(fits: Sequence[Any], name: str) -> str:
-    """Return the text of the estimate that the row is about, with its interval."""
+    """Return the text of the estimate that the row is about, with its standard error, as in tables."""
     first: Estimate = next(
         fit.parameters[name] for fit in fits if name in fit.parameters and fit.parameters[name].std_error > 0.0
     )
-    return f"{plus_minus(first.value, _SIDE * first.std_error)} {first.unit}".rstrip().replace("-", "−", 1)
+    return f"{plus_minus(first.value, first.std_error)} {first.unit}".rstrip().replace("-", "−", 1)
 
 
 def _legend(figure: Figure, called: Sequence[str]) -> None:

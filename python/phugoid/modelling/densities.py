@@ -1,4 +1,4 @@
-"""Noise densities for measurements with outliers, those that the user writes (Eq. metric_est_obj of the paper), and
+"""Noise densities for measurements with outliers, those that the user writes (the metrics of Dutra 2019), and
 noise that differs between outputs or experiments."""
 
 from __future__ import annotations

@@ -51,8 +51,7 @@ _LONGEST = 20_000
 class Model:
     """A model of ordinary differential equations: x' = f(x, u, theta), y = g(x, u, theta).
 
-    (Eqs. state_dynamics and output_equations of the paper.) Declare states, inputs and parameters, then give the
-    dynamics and the outputs:
+    Declare states, inputs and parameters, then give the dynamics and the outputs:
 
     >>> m = Model("first-order lag")
     >>> x, = m.states(x="m")

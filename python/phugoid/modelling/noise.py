@@ -149,7 +149,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Gaussian(Noise):
-    """Gaussian noise (Eq. pe_gaussian of the paper), independent on each output (Eq. r_diag) unless asked otherwise.
+    """Gaussian noise, independent on each output unless asked otherwise (Dutra 2019; Jategaonkar 2015, ch. 4).
 
     ``sigma`` gives, by output name, a number (a known standard deviation) or a `Sigma` (an unknown one); outputs
     not named have an unknown one.

@@ -12,11 +12,16 @@ function add(parent, tag, kind, text) {
   return parent.appendChild(made);
 }
 
+/* At least two, for one alone gives no scale. */
 function ticks(low, high, most) {
   const rough = (high - low) / most, power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].map(m => m * power).find(s => s >= rough), found = [];
-  for (let i = Math.ceil(low / step); i * step <= high; i++) found.push(Number((i * step).toPrecision(12)));
-  return found;
+  const steps = [0.2, 0.5, 1, 2, 5, 10].map(m => m * power), at = steps.findIndex(s => s >= rough);
+  for (const step of steps.slice(0, at + 1).reverse()) {
+    const found = [];
+    for (let i = Math.ceil(low / step); i * step <= high; i++) found.push(Number((i * step).toPrecision(12)));
+    if (found.length > 1) return found;
+  }
+  return [];
 }
 
 function range(values, from, to, also) {
@@ -117,7 +122,7 @@ function explore(box, data) {
       ["y", data.variables, data.over[1], " (horizontal) and "]]) {
       head.append(before);
       const select = chosen[kind] = add(head, "select", "");
-      for (const name of names) select.add(new Option(name.slice(2), name, false, name === first));
+      for (const name of names) select.add(new Option(data.labels[name], name, false, name === first));
       select.onchange = () => redraw();
     }
     head.append(" (vertical)");
@@ -136,7 +141,11 @@ function explore(box, data) {
       const [r, u, v] = ["r", "x", "y"].map(k => values[chosen[k].value]), last = t.length - 1;
       const present = r.filter(e => e != null), rms = Math.sqrt(present.reduce((s, e) => s + e * e, 0) / present.length) || 1;
       const g = prepare(canvas), width = canvas.clientWidth - LEFT - RIGHT;
-      const [x, y] = frame(g, range([u], 0, last), range([v], 0, last), LEFT, 4, width, MAP - FOOT - 4, 6, true);
+      const [x, y] = frame(g, range([u], 0, last), range([v], 0, last), LEFT, 18, width, MAP - 2 * FOOT - 18, 6, true);
+      g.textAlign = "left";
+      g.fillText(data.labels[chosen.y.value], 4, 11);
+      g.textAlign = "right";
+      g.fillText(data.labels[chosen.x.value], LEFT + width, MAP - 4);
       places = [];
       for (let i = 0; i <= last; i++) {
         if (r[i] == null || u[i] == null || v[i] == null) { places.push([-1e9, 0]); continue; }
@@ -183,7 +192,13 @@ function explore(box, data) {
     back.disabled = span === whole;
     told.textContent = at < 0 ? data.note : `at ${number(t[at])} ${data.unit}`;
   }
-  new ResizeObserver(redraw).observe(box);
+  new ResizeObserver(() => {
+    /* What is told while the pointer is over a panel is shorter than the note: nothing below shall move. */
+    told.textContent = data.note;
+    bar.style.minHeight = "";
+    bar.style.minHeight = bar.offsetHeight + "px";
+    redraw();
+  }).observe(box);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 }
 

@@ -283,8 +283,8 @@ def _nearest(diagnosis: DiagnosisResult) -> str:
     """Return how near the best candidate came."""
     best = max(diagnosis.ranking, key=lambda s: s.statistic)
     text = (
-        f"The best of {len(diagnosis.ranking)} candidates is {best.name}, with a gain of {best.statistic:.1f} in "
-        f"twice the log-likelihood (threshold {diagnosis.threshold:.1f})"
+        f"The best candidate is {best.name}, with a gain of {best.statistic / 2:.1f} in log-likelihood (threshold "
+        f"{diagnosis.threshold / 2:.1f})"
     )
     if best.statistic <= diagnosis.threshold:
         return f"{text}."
@@ -332,6 +332,7 @@ def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
         name=fit.model.name,
         headline=headline(diagnosis),
         outcome=outcome(diagnosis),
+        named=[(f.cause, f.explanation.rstrip(".")) for f in diagnosis.findings if f.status == "named" and f.cause],
         explained=_explained(diagnosis),
         wrong=_wrong(diagnosis),
         causes=[_cause(f, diagnosis.fit.model.time_unit) for f in diagnosis.findings if f.cause or f.is_drawn],
@@ -395,9 +396,9 @@ def _evidence(diagnosis: DiagnosisResult) -> dict[str, Any]:
     ranking = sorted(diagnosis.ranking, key=lambda s: s.ranking, reverse=True)
     rows = []
     for s in ranking[:_RANKED]:
-        numbers = [f"{s.statistic:.1f}", f"{s.ranking:.1f}", f"{s.white:.1f}", f"{s.distinct:.2g}"]
-        rows.append([s.name, *numbers, s.explanation, s.remark])
-    heads = ["candidate", "statistic", "ranking", "white", "distinct", "explanation", "remark"]
+        gains = [f"{g / 2:.1f}" for g in (s.statistic, s.ranking, s.white)]
+        rows.append([s.name, *gains, f"{s.distinct:.2g}", s.explanation, s.remark])
+    heads = ["candidate", "gain", "ranked by", "white noise", "distinct", "explanation", "remark"]
     return {
         "picture": picture(*(ranking_figure(ranking, diagnosis.threshold, width)[0] for width in WIDTHS)),
         "table": PageTable(heads, rows, "lrrrrtt"),
@@ -478,11 +479,7 @@ def _open(diagnosis: Any) -> list[str]:
 
 def _tried(diagnosis: DiagnosisResult) -> str:
     n = len(diagnosis.ranking)
-    return (
-        f"{n} candidates ranked, threshold {diagnosis.threshold:.1f} in twice the log-likelihood"
-        if n
-        else "no candidates"
-    )
+    return f"{n} candidates ranked, threshold {diagnosis.threshold / 2:.1f} in log-likelihood" if n else "no candidates"
 
 
 def _has(model: Model, name: str) -> bool:

@@ -255,7 +255,9 @@ def _finite(value: float) -> float:
 
 
 def ranking_figure(ranking: Sequence[Scored], threshold: float, width: float = WIDTH) -> tuple[Figure, dict[str, Axes]]:
-    """Bars of the best candidates: twice the expected gain in log-likelihood, against the threshold.
+    """Bars of the best candidates: the expected gain in log-likelihood, against the threshold.
+
+    ``ranking`` and ``threshold`` are in twice the log-likelihood.
 
     Bars: with noise that has the autocorrelation of the residuals. Ticks: with the autocorrelation of what the best few
     terms leave of them, by which candidates are ranked. Circles: with white noise, which overrates slow effects.
@@ -268,14 +270,15 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float, width: float = W
     if not ranking:
         raise DataError("ranking_figure: there are no candidates")
     shown = sorted(ranking, key=lambda s: s.ranking, reverse=True)[:_BARS]
+    least = threshold / 2
     with styled({"hatch.linewidth": 0.4}) as plt:
         figure, axis = plt.subplots(figsize=(width, 0.24 * len(shown) + 0.9), layout="constrained")
-        low = max(1.0, 0.3 * min(threshold, *(s.statistic for s in shown)))
+        low = max(0.5, 0.3 * min(least, *(s.statistic / 2 for s in shown)))
         for row, scored in enumerate(shown):
             passed = scored.statistic > threshold
             axis.barh(
                 row,
-                max(scored.statistic, 0.0),
+                max(scored.statistic / 2, 0.0),
                 0.66,
                 color=MEASURED if passed else "#B5CFE0",
                 hatch="////" if scored.remark else None,
@@ -283,9 +286,9 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float, width: float = W
                 linewidth=0.0,
                 label=None,
             )
-            axis.plot(scored.ranking, row, "|", ms=9.0, mec=RESIDUAL, mew=1.6)
-            axis.plot(scored.white, row, "o", ms=3.6, mfc="white", mec=RESIDUAL, mew=0.9)
-        axis.axvline(threshold, color=MODEL, linewidth=1.1)
+            axis.plot(scored.ranking / 2, row, "|", ms=9.0, mec=RESIDUAL, mew=1.6)
+            axis.plot(scored.white / 2, row, "o", ms=3.6, mfc="white", mec=RESIDUAL, mew=0.9)
+        axis.axvline(least, color=MODEL, linewidth=1.1)
         axis.set_xscale("log")
         axis.set_xlim(left=low)
         low, high = axis.get_xlim()
@@ -296,8 +299,8 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float, width: float = W
         axis.set_yticks(range(len(shown)), [plain(s.name) for s in shown])
         axis.tick_params(axis="y", length=0.0)
         axis.invert_yaxis()
-        axis.set_xlabel("expected 2 Δ log-likelihood")
-        handles = _ranking_key(threshold, any(s.remark for s in shown))
+        axis.set_xlabel("expected gain in log-likelihood")
+        handles = _ranking_key(least, any(s.remark for s in shown))
         columns = len(handles) if width == WIDTH else 2
         figure.legend(handles=handles, loc="outside upper right", ncols=columns, frameon=False, fontsize=7.0)
     return figure, Panels({"ranking": axis})
@@ -311,7 +314,7 @@ def _ranking_key(threshold: float, remarks: bool) -> list[Any]:
         Patch(color=MEASURED, label="coloured noise"),
         Line2D([], [], linestyle="", marker="|", ms=7.0, mec=RESIDUAL, mew=1.6, label="ranked by"),
         Line2D([], [], linestyle="", marker="o", ms=3.6, mfc="white", mec=RESIDUAL, mew=0.9, label="white noise"),
-        Line2D([], [], color=MODEL, linewidth=1.1, label=f"threshold {threshold:.0f}"),
+        Line2D([], [], color=MODEL, linewidth=1.1, label=f"threshold {threshold:.1f}"),
     ]
     if remarks:
         key.append(Patch(facecolor=MEASURED, hatch="////", edgecolor="white", label="see its remark"))

@@ -128,8 +128,8 @@ class Finding:
     explained_outputs: Mapping[str, float] = field(default_factory=dict)
     explained_of_the_rest: float = math.nan
     alternatives_explained: Mapping[str, float] = field(default_factory=dict)
-    curve: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    surface: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    curve: Mapping[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
+    surface: Mapping[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
 
     rivals = Renamed("alternatives")
     rivals_explained = Renamed("alternatives_explained")

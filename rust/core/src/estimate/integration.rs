@@ -250,7 +250,7 @@ impl Fit {
         (worst > COARSE).then(|| {
             format!(
                 "the mesh is coarse: from t = {} to {}{place} integration is wrong by {} times the noise, and estimates may \
-                 be wrong with it: refinement (Collocation(refine=True), Estimation::refine) divides the mesh as needed",
+                 be wrong with it: the option refine of the collocation divides the mesh as needed",
                 short(found.edges[k], 4),
                 short(found.edges[k + 1], 4),
                 short(worst, 1)

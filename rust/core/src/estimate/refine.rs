@@ -177,7 +177,7 @@ impl Estimation<'_> {
         {
             fit.warnings.push(format!(
                 "the mesh is coarse: with segments half as long the log-likelihood is {}, and not {}, for errors of the integration \
-                 add up along the records: refinement (Collocation(refine=True), Estimation::refine) divides the mesh as needed",
+                 add up along the records: the option refine of the collocation divides the mesh as needed",
                 short(finer.log_likelihood, 6),
                 short(fit.log_likelihood, 6)
             ));

@@ -256,7 +256,9 @@ impl Printer<'_> {
                 from = at + 1;
                 continue;
             };
-            stack.push(Task::Text(&rest[..at]));
+            // Numbers beside each other would run together.
+            let apart = op == Op::Mul && style.delimits && index == 1 && matches!(arg.node(), Node::Constant(_));
+            stack.push(Task::Text(if apart { " \\cdot " } else { &rest[..at] }));
             let brackets = self.in_brackets(op, index, arg);
             stack.extend(brackets.then_some(Task::Text(style.open)));
             stack.push(Task::Expr(arg));
@@ -321,17 +323,54 @@ const GREEK: &[&str] = &[
     "nu", "xi", "pi", "rho", "sigma", "tau", "upsilon", "phi", "chi", "psi", "omega",
 ];
 
+/// What forces, moments and their coefficients are differentiated with respect to.
+const VARIABLES: &[&str] = &[
+    "0", "u", "v", "w", "p", "q", "r", "a", "b", "V", "da", "de", "df", "dr", "ds", "dt", "alpha", "beta", "theta",
+];
+
+/// The symbol of a name: Greek letters by their names, an index after each `_`, and stability and control derivatives as
+/// they are written: `Cma` is C_{m\alpha}, `Mde` is M_{\delta e}.
 fn latex_symbol(name: &str) -> String {
+    if let Some((head, axis, about)) = derivative(name) {
+        return format!("{head}_{{{axis}{}}}", latex_variable(about));
+    }
     let (head, tail) = name.split_once('_').unwrap_or((name, ""));
-    let lower = head.to_lowercase();
-    let head = if GREEK.contains(&head) || (GREEK.contains(&lower.as_str()) && head[1..] == lower[1..]) {
-        format!("\\{head}")
-    } else if head.chars().count() > 1 {
-        format!("\\mathrm{{{head}}}")
-    } else {
-        head.to_owned()
-    };
+    let head = greek(head).unwrap_or_else(|| {
+        if head.chars().count() > 1 { format!("\\mathrm{{{head}}}") } else { head.to_owned() }
+    });
     if tail.is_empty() { head } else { format!("{head}_{{{}}}", latex_symbol(tail)) }
+}
+
+fn greek(name: &str) -> Option<String> {
+    let lower = name.to_lowercase();
+    let is = GREEK.contains(&name) || (GREEK.contains(&lower.as_str()) && name[1..] == lower[1..]);
+    is.then(|| format!("\\{name}"))
+}
+
+/// What a name of a derivative consists of: coefficient, axis, and the variable that it is with respect to. A force or
+/// moment without a coefficient has no axis; a coefficient may be that of the force itself, `CL`.
+fn derivative(name: &str) -> Option<(&str, &str, &str)> {
+    if !name.is_ascii() || name.len() < 2 {
+        return None;
+    }
+    let (head, axis, about) = match name.as_bytes()[0] {
+        b'C' if b"DLTXYZlmn".contains(&name.as_bytes()[1]) => (&name[..1], &name[1..2], &name[2..]),
+        b'L' | b'M' | b'N' | b'X' | b'Y' | b'Z' => (&name[..1], "", &name[1..]),
+        _ => return None,
+    };
+    let known = VARIABLES.contains(&about) || (head == "C" && about.is_empty());
+    known.then_some((head, axis, about))
+}
+
+fn latex_variable(name: &str) -> String {
+    match name {
+        "a" => "\\alpha".to_owned(),
+        "b" => "\\beta".to_owned(),
+        _ => match name.strip_prefix('d').filter(|rest| !rest.is_empty()) {
+            Some(rest) => format!("\\delta {rest}"),
+            None => greek(name).unwrap_or_else(|| name.to_owned()),
+        },
+    }
 }
 
 /// The shortest text that reads back as the number.
@@ -343,12 +382,18 @@ fn number(c: f64) -> String {
     }
 }
 
+/// Six significant digits: the text is for readers, and does not read back.
 fn latex_number(c: f64) -> String {
-    let text = format!("{c:e}");
-    match text.split_once('e') {
-        Some((mantissa, exponent)) if exponent.parse::<i32>().is_ok_and(|e| !(-4..6).contains(&e)) => {
-            format!("{mantissa} \\cdot 10^{{{exponent}}}")
-        }
-        _ => format!("{c}"),
+    let text = format!("{c:.5e}");
+    let Some((mantissa, exponent)) = text.split_once('e') else { return text };
+    let Ok(power) = exponent.parse::<i32>() else { return text };
+    let without_zeros = |text: &str| match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text.to_owned(),
+    };
+    if (-4..6).contains(&power) {
+        without_zeros(&format!("{c:.*}", usize::try_from(5 - power).unwrap_or(0)))
+    } else {
+        format!("{} \\cdot 10^{{{power}}}", without_zeros(mantissa))
     }
 }

@@ -115,6 +115,10 @@ fn chosen_cases_print_in_latex() {
         (&a * (&b + &c), r"a \, \left(b + c\right)"),
         (Expr::symbol("alpha_dot").sqrt(), r"\sqrt{\alpha_{\mathrm{dot}}}"),
         (Expr::constant(1.5e-9) * &a, r"1.5 \cdot 10^{-9} \, a"),
+        (Expr::symbol("Cma") * Expr::symbol("CL"), r"C_{m\alpha} \, C_{L}"),
+        (Expr::symbol("Mde") + Expr::symbol("CL_alpha"), r"M_{\delta e} + \mathrm{CL}_{\alpha}"),
+        (&a * 0.396 + 0.000_243_996_350_824, r"a \cdot 0.396 + 0.000243996"),
+        (&a * -2.0 + 1_234_567.0, r"a \cdot \left(-2\right) + 1.23457 \cdot 10^{6}"),
     ];
     for (expr, text) in cases {
         assert_eq!(expr.latex(), text);

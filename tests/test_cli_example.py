@@ -20,6 +20,8 @@ def test_its_commands_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
     done = run("example", name, "--out", "try", "--json")
     assert done.exit_code == 0, done.output
     commands = [shlex.split(line)[1:] for line in json.loads(done.stdout)["commands"]]
+    page = (tmp_path / "try" / f"{name}.md").read_text(encoding="utf-8")
+    assert all(shlex.join(["phugoid", *c]) in page for c in commands) and "## What to look for" in page
     assert [c[0] for c in commands] == ["fit", "validate", "simulate", "diagnose"]
     fitted = run(*commands[0], "--json")
     assert fitted.exit_code == 0, fitted.output

@@ -70,6 +70,8 @@ def test_a_saved_fit_is_gone_on_from(here: Path) -> None:
     found = json.loads(done.stdout)
     assert done.exit_code == 0 and "order 3" in found["transcription"]
     assert found["log_likelihood"] > before.log_likelihood
+    refined = run("fit", "part.json", "run1.csv", "--refine").stdout
+    assert "order 3" in refined and "mesh refinement: tolerance" in refined
     assert "order 5" in json.loads(run("fit", "part.json", "run1.csv", "--json", "--order", 5).stdout)["transcription"]
 
 

@@ -137,7 +137,7 @@ def test_an_effect_in_one_regime_is_found_there() -> None:
     out = [b for b in c.regime.bins if b.stands_out]
     assert out and all(b.high > threshold for b in out)
     assert max(b.mean for b in out) == pytest.approx(2.0, abs=0.6)
-    assert "off where q > " in c.summary()
+    assert "biased where q > " in c.summary()
 
 
 def test_standard_error_of_a_bin_counts_blocks_of_like_samples() -> None:
@@ -188,8 +188,8 @@ def test_what_residuals_follow_is_named_with_its_sign() -> None:
     up, down = channel(white() + q / q.std()), channel(white() - q / q.std())
     assert up.follows is not None and up.follows.variable == "q"
     assert up.follows.r == pytest.approx(math.sqrt(0.5), abs=0.08)
-    assert "follows q (r = 0.6" in up.summary() or "follows q (r = 0.7" in up.summary()
-    assert down.follows is not None and down.follows.r < 0 and "opposes q" in down.summary()
+    assert "correlated with q (r = 0.6" in up.summary() or "correlated with q (r = 0.7" in up.summary()
+    assert down.follows is not None and down.follows.r < 0 and "correlated with q (r = -0" in down.summary()
 
 
 def test_slow_series_have_few_effective_samples() -> None:

@@ -173,6 +173,8 @@ _GREEK = {
 }  # fmt: skip
 _VARIABLE = r"(0|[uvwpqrabV]|d[aerfst]|alpha|beta|theta)"
 _DERIVATIVE = re.compile(rf"(C)([DLTXYZlmn]){_VARIABLE}?|([LMNXYZ]){_VARIABLE}")
+# So many underscores and more in an index, and a name is written as it is.
+_INDICES = 2
 _RELATIONS = {"lt": "&lt;", "le": "≤", "gt": "&gt;", "ge": "≥", "eq": "=", "ne": "≠"}
 # Smooth forms of a saturation, u limited to ±s, and of a dead-band, u less that.
 _CLIP = re.compile(
@@ -302,6 +304,8 @@ def _symbol(name: str, new: Collection[str]) -> str:
     if derivative:  # Cma is C_mα, Mde is M_δe
         shown = f"{derivative[1] or derivative[4]}_{derivative[2] or ''}{_about(derivative[3] or derivative[5] or '')}"
     head, _, index = shown.partition("_")
+    if index.count("_") >= _INDICES:  # a name such as q_dot_q_abs_q is no symbol with indices
+        head, index = "", ""
     text = f"<mi>{escape(_GREEK.get(head, head))}</mi>" if head else f"<mi>{escape(name)}</mi>"
     if head and index:
         below = ",".join(_GREEK.get(part, part) for part in index.split("_"))

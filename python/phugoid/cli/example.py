@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -44,9 +44,9 @@ def example(
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     json: JsonOption = False,
 ) -> None:
-    """Write an example: a model file and two simulated records.
+    """Write an example: a model file, two simulated records, and a page on what to look for.
 
-    It is followed by a list of the commands to run on it.
+    A list of the commands to run on it is printed, too.
     """
     if every or name is None:
         if json:
@@ -58,8 +58,8 @@ def example(
         return
     chosen = example_of(name)
     file = folder / f"{name}.py"
-    records = [folder / f"{name}.csv", folder / f"{name}_other.csv"]
-    there = [str(p) for p in (file, *records) if p.exists()]
+    records, page = [folder / f"{name}.csv", folder / f"{name}_other.csv"], folder / f"{name}.md"
+    there = [str(p) for p in (file, *records, page) if p.exists()]
     if there and not force:
         raise OptionError(f"{', '.join(there)} would be overwritten; give --force, or --out for another folder")
     folder.mkdir(parents=True, exist_ok=True)
@@ -68,11 +68,13 @@ def example(
     for which, path in enumerate(records):
         _write(chosen, model, which, path)
     commands = _commands(file, *records)
+    write(page, chosen.page(commands))
+    written = [file, *records, page]
     if json:
         facts = {"example": name, "look_for": chosen.look, "commands": commands}
-        emit_json("example", facts, [file, *records])
+        emit_json("example", facts, written)
     else:
-        print(f"{chosen.about}\n\nWritten: {', '.join(map(str, [file, *records]))}\n\nNow try:")
+        print(f"{chosen.about}\n\nWritten: {', '.join(map(str, written))}\n\nNow try:")
         print("\n".join(f"  {line}" for line in commands))
         print(f"\nWhat to look for:\n{textwrap.fill(chosen.look, 76, initial_indent='  ', subsequent_indent='  ')}")
 
@@ -130,6 +132,17 @@ class Example:
     def text(self) -> str:
         """The text of the model file."""
         return model_text(self.name)
+
+    def page(self, commands: Sequence[str]) -> str:
+        """Return a page in Markdown: commands, what to look for, and the values that the records were made with."""
+        rows = [f"| {name} | {value:g} |" for name, value in self.parameters.items()]
+        lines = "\n".join(f"    {line}" for line in commands)
+        return (
+            f"# {self.about[:1].upper()}{self.about[1:]}\n\nThe model is in `{self.name}.py`. The records are "
+            f"simulated, with noise; `{self.name}_other.csv` is for validation.\n\n## Commands\n\n{lines}\n\n"
+            f"## What to look for\n\n{textwrap.fill(self.look, 100)}\n\n"
+            "## True values\n\n| parameter | value |\n|---|---|\n" + "\n".join(rows) + "\n"
+        )
 
     def record(self, model: Model, which: int) -> tuple[_Array, dict[str, _Array], dict[str, _Array]]:
         """Return times (s), inputs and measurements with noise of the first or the second record; always the same."""
@@ -235,7 +248,7 @@ _ALL = (
         100.0,
         "The lag of the rotors and the damping Mq are interchangeable: the upper bound of T decides which is which. "
         "Only fast steps distinguish the delay from the lag: see the correlation of T and delay. The accelerometer "
-        "measures the drag.",
+        "measures the drag. The delay moves steps between samples: --refine divides the mesh there.",
         _quadrotor,
     ),
     Example(

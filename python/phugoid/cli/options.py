@@ -281,6 +281,9 @@ class Estimation:
             metavar="N",
         ),
     ] = None
+    refine: Annotated[
+        bool, Option("--refine", help="Divide the mesh where its integration error is large, and estimate again.")
+    ] = False
     start: Annotated[
         list[str] | None, Option("--start", help="Start value of a parameter or a state.", metavar="NAME=VALUE")
     ] = None
@@ -321,9 +324,13 @@ class Estimation:
         model = _with_fixed(model, fixed)
         begin: dict[str, Any] = {} if before is None else dict(before.as_start(before.noise))
         begin = {n: v for n, v in {**begin, **start}.items() if n.partition("[")[0] not in fixed}
-        mesh: Transcription | FilterError = Collocation(order=4 if self.order is None else self.order)
+        mesh: Transcription | FilterError = Collocation(4 if self.order is None else self.order, refine=self.refine)
         if before is not None and self.order is None:
             mesh = before.transcription
+            if self.refine:
+                if not isinstance(mesh, Collocation):
+                    raise OptionError(f"--refine: the saved fit is not one by collocation ({mesh})")
+                mesh = replace(mesh, refine=True)
         return estimate(
             model,
             data,

@@ -270,7 +270,7 @@ class Multistart:
             ]
             for i, o in enumerate(self.optima[:_OPTIMA], 1)
         ]
-        header = ["optimum", "log-likelihood", "below best", "starts", "in %", "such as start"]
+        header = ["optimum", "log-likelihood", "below best", "starts", "in %", "first start"]
         return header, rows, "rrrrrr"
 
     def _more_optima(self) -> str:

@@ -56,7 +56,7 @@ def what_stands_out(c: Any) -> str:
 def _follows(found: Dependence) -> str:
     if found.variable == "time":
         return f"drifts {'up' if found.r > 0.0 else 'down'} during the record (r = {found.r:.2f})"
-    return f"{'follows' if found.r > 0.0 else 'opposes'} {found.variable} (r = {found.r:.2f})"
+    return f"correlated with {found.variable} (r = {found.r:.2f})"
 
 
 def _times(c: Any) -> str:
@@ -95,7 +95,7 @@ def regime_phrase(regime: Regime, unit: str, units: Any) -> str:
     if not chosen:
         return f"changes with {regime.variable}"
     b = max(chosen, key=lambda b: abs(b.mean) / b.std_error)
-    return f"off where {_range(regime, b, units)} (mean {with_unit(b.mean, unit)})"
+    return f"biased where {_range(regime, b, units)} (mean {with_unit(b.mean, unit)})"
 
 
 def _range(regime: Regime, b: Bin, units: Any) -> str:

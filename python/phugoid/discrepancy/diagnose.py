@@ -437,6 +437,7 @@ def _steps_shown() -> Iterator[Callable[[str], None]]:
 
     try:
         yield show
+        line.show(f"diagnose: done after {time.monotonic() - began:.1f} s")
     finally:
         line.keep()
 

@@ -33,6 +33,7 @@ from .refit import HeldOut, Refit, fitted_to, gain_on_other_data, is_structured,
 from .refit_cache import RefitCache
 
 __all__ = [
+    "ALIKE_GAIN",
     "RecordedInput",
     "SampledInputs",
     "noise_of",
@@ -54,8 +55,8 @@ _SMOOTH = (1.5, 3.0)
 _FIRST, _ALIKE = 5, 1.5
 # Part of the misfit that another clock must explain.
 _MOST_OF_IT = 0.5
-# Log-likelihood by which another clock may be behind and still not be distinguished.
-_ALIKE_GAIN = 5.0
+# Log-likelihood by which another cause may be behind and still not be distinguished.
+ALIKE_GAIN = 5.0
 # To first order the data ask for so much of what the filter takes away: about all of it.
 _ALL = (0.4, 1.6)
 
@@ -153,7 +154,7 @@ def _by_another_clock(
         if confirmed is not None and confirmed.explained is not None and confirmed.explained.part > _MOST_OF_IT:
             found.append(confirmed)
     first = max(found, key=lambda one: one.gain, default=None)
-    alternatives = {o.cause: o.gain for o in found if o is not first and first and o.gain > first.gain - _ALIKE_GAIN}
+    alternatives = {o.cause: o.gain for o in found if o is not first and first and o.gain > first.gain - ALIKE_GAIN}
     return replace(first, alternatives=alternatives) if first else None
 
 

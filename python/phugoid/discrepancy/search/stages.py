@@ -19,7 +19,7 @@ from . import Search, SearchResult
 from .disturbance import Disturbances
 from .finding import ExtensionResult, Scored
 from .record_change import RecordChange, record_changes
-from .recorded_input import RecordedInput, SampledInputs, recorded_input, sampled_inputs
+from .recorded_input import ALIKE_GAIN, RecordedInput, SampledInputs, recorded_input, sampled_inputs
 from .refit import Refit, fitted_to
 from .remainder import Remainder, RemainderSettings, remainder_of
 from .scan import NEARLY, Scan
@@ -216,10 +216,16 @@ def _recorded_input(search: Search) -> RecordedInput | None:
         names |= {c.name for c in likely if c.transferable}
     late = [c for c in cache.candidates if c.name in names]
     alternatives = [r for r in cache.refits([[c] for c in late if cache.has_start(c.name)]) if r is not None]
-    best = max((r.merit - len(r.candidates[0].parameters) for r in alternatives), default=-np.inf)
+    merits = {r.candidates[0].name: r.merit - len(r.candidates[0].parameters) - cache.base.merit for r in alternatives}
+    best = max(merits.values(), default=-np.inf)
     # Where the record has noise, a dead band takes away what of it is seen most: it must do more than that.
     needed = found.gain * (_BEYOND if found.kind == "noise" else 1.0)
-    return found if best < cache.base.merit + needed else None
+    if best >= needed:
+        return None
+    if found.kind == "hold":  # half a sample late on average
+        alike = {name: m for name, m in sorted(merits.items(), key=lambda of: -of[1]) if m > found.gain - ALIKE_GAIN}
+        return replace(found, alternatives=alike)
+    return found
 
 
 def _with_inputs_as_recorded(state: Inquiry) -> Inquiry:

@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use super::accuracy::FINEST;
 use super::fit::Fit;
+use super::integration::COARSE_MESH;
 use super::print::short;
 use super::run::Watch;
 use super::{Estimation, Transcription};
@@ -67,7 +68,10 @@ impl Estimation<'_> {
                 let text = "the model integrated with these estimates has the log-likelihood";
                 fit.message = format!("{}; {text} {}", fit.message, short(found, 6));
             }
-            Ok(found) if (found - path).abs() <= DIFFERENT => {}
+            // Of a motion at rest, say, no error of a segment reaches a sample.
+            Ok(found) if (found - path).abs() <= DIFFERENT => {
+                fit.warnings.retain(|text| !text.starts_with(COARSE_MESH));
+            }
             Ok(found) => {
                 if fit.status.is_end() && self.follows_motion() && (found - path).abs() > WRONG {
                     fit.end_as(Status::IterationLimit);

@@ -23,6 +23,8 @@ const FLOOR: f64 = 1e-6;
 const UNMEASURED: f64 = 1e-2;
 /// Errors of a segment below this, in units of the noise, are small beside it.
 const COARSE: f64 = 0.1;
+/// How a warning of larger ones begins.
+pub(super) const COARSE_MESH: &str = "the mesh is coarse";
 /// The same of all segments together: the noise that a fit finds has what they add up to within it.
 const ACCUMULATED: f64 = 0.1;
 /// Points that are evaluated at a time.
@@ -249,7 +251,7 @@ impl Fit {
         let place = if errors.len() > 1 { format!(" of '{}'", found.name) } else { String::new() };
         (worst > COARSE).then(|| {
             format!(
-                "the mesh is coarse: from t = {} to {}{place} integration is wrong by {} times the noise, and estimates may \
+                "{COARSE_MESH}: from t = {} to {}{place} integration is wrong by {} times the noise, and estimates may \
                  be wrong with it: the option refine of the collocation divides the mesh as needed",
                 short(found.edges[k], 4),
                 short(found.edges[k + 1], 4),

@@ -31,6 +31,8 @@ pub(super) const NOT_FEASIBLE: &str = "the states do not satisfy the equations w
 const SINGULAR: f64 = 1e-12;
 /// Parameters with a larger part in its eigenvector are named.
 const PART: f64 = 0.1;
+/// Of a point that is no maximum no more than so many variables at once are said to be undetermined.
+const FEW: usize = 3;
 /// What is 0 hides what it multiplies, so that products of parameters have no slope at a start of zeros.
 const NO_MAXIMUM: &str = "not a proper maximum: the log-likelihood grows from here in some direction; start from \
                           elsewhere, above all with factors that are not 0";
@@ -42,14 +44,24 @@ pub(super) fn judge(
     (status, message): (&mut Status, &mut String),
     warnings: &mut Vec<String>,
 ) {
+    let k = found.step.len();
+    let known = || (0..k).filter(|i| found.covariance[i * k + i] > 0.0);
+    let close = |i: usize| found.step[i].abs() < CLOSE * found.covariance[i * k + i].sqrt();
+    let nowhere_left = known().all(close);
+    if *status == Status::Failed && !found.saddle && nowhere_left && known().next().is_some() {
+        // No step was found for rounding alone.
+        *status = Status::Acceptable;
+    }
     // Elsewhere than at an end, curvature says nothing about the data.
     if !status.is_end() {
         return;
     }
-    let k = found.step.len();
-    let close = |i: usize| found.step[i].abs() < CLOSE * found.covariance[i * k + i].sqrt();
+    if found.saddle {
+        warnings.push(NO_MAXIMUM.into());
+    }
     let mut groups = Vec::new();
-    for group in &found.undetermined {
+    // Where the log-likelihood grows in some direction, many names are those of this direction.
+    for group in found.undetermined.iter().filter(|group| !found.saddle || group.len() <= FEW) {
         let names: Vec<String> = group.iter().map(|&i| problem.variable_name(i)).collect();
         warnings.push(undetermined(&names));
         groups.push(names.join(", "));
@@ -59,9 +71,10 @@ pub(super) fn judge(
         *message = format!("{} ({})", status.hint(), groups.join("; "));
     }
     if found.saddle {
-        warnings.push(NO_MAXIMUM.into());
-    } else if *status == Status::Acceptable && (0..k).filter(|i| found.covariance[i * k + i] > 0.0).all(close)
-    {
+        if groups.is_empty() {
+            (*status, *message) = (Status::Acceptable, NO_MAXIMUM.into());
+        }
+    } else if *status == Status::Acceptable && nowhere_left {
         // Rounding kept the solver from its tolerance, but there is nowhere left to go.
         *status = Status::Converged;
         *message = status.hint().to_owned();

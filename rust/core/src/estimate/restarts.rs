@@ -1,5 +1,7 @@
 //! Restarts from other parameters: where samples are few, the likelihood has many maxima.
 
+use std::time::Duration;
+
 use super::Estimation;
 use super::accuracy::{Accuracy, FINAL, SEARCH};
 use super::draws::Draws;
@@ -9,9 +11,9 @@ use super::motion::{FAR, Values};
 use super::run::Watch;
 use super::search::Search;
 use crate::error::Error;
-use crate::interrupt::current;
+use crate::interrupt::{Cause, current};
 use crate::simulate::Method;
-use crate::solver::Status;
+use crate::solver::{Settings, Status};
 
 /// Restarts in a row that bring no more than this in log-likelihood, before two for each parameter are added; fewer where so many
 /// in a row from parameters of which some are drawn anew end at the same optimum, which then is hardly one of many; and so many
@@ -26,6 +28,8 @@ const GAIN: f64 = 1e-3;
 const SAME: f64 = 0.1;
 /// Most draws for parameters at which the model can be simulated, and its outputs are others.
 const DRAWS: usize = 30;
+/// How often a run goes on from an end that lacks iterations.
+const FURTHER: usize = 2;
 
 impl Estimation<'_> {
     /// Returns the best end of a run from the starting values and of so many restarts from other parameters, on meshes that
@@ -63,7 +67,10 @@ impl Estimation<'_> {
         }
         let cut = search.is_stopped();
         let Search { mut fit, likelihood, mut iterations, mut time, without, again, .. } = search;
-        if cut && restarts > 0 && fit.status.is_end() {
+        if cut && restarts > 0 {
+            if fit.status == Status::IterationLimit && current().cause() == Some(Cause::TimeLimit) {
+                fit.end_as(Status::TimeLimit); // with more time the best end would have been finished
+            }
             fit.message = format!(
                 "{}; the search for better optima was cut after {without} restarts without a gain: there may be better ones",
                 fit.message
@@ -80,6 +87,9 @@ impl Estimation<'_> {
                 fit = last;
             }
         }
+        if !cut && !self.asks_for_few_iterations() {
+            self.finish(&mut fit, (&mut iterations, &mut time), watch)?;
+        }
         if restarts > 0 && again == 0 && fit.feasible && !cut {
             fit.warnings.push(format!(
                 "none of the last {without} restarts ended at this optimum again: there may be better ones, which \
@@ -88,6 +98,40 @@ impl Estimation<'_> {
         }
         (fit.iterations, fit.solution.time) = (iterations, time);
         Ok(Some(fit))
+    }
+
+    /// Goes on from an end that lacks iterations, with as many as all runs had so far, and once more as many as those: along a
+    /// narrow curved ridge a run takes thousands. `effort`: the iterations and the time so far.
+    fn finish(
+        &self,
+        fit: &mut Fit,
+        effort: (&mut usize, &mut Duration),
+        watch: &mut Watch<'_>,
+    ) -> Result<(), Error> {
+        let (iterations, time) = effort;
+        for _ in 0..FURTHER {
+            if fit.status != Status::IterationLimit || !fit.feasible || current().stops() {
+                break;
+            }
+            let max_iterations = self.solver.max_iterations.max(*iterations);
+            let solver = Settings { max_iterations, ..self.solver.clone() };
+            let further = Estimation { solver, ..self.clone() };
+            let Some(found) = further.along_the_motion(&fit.values(), f64::NEG_INFINITY, FINAL, watch)?
+            else {
+                break;
+            };
+            *iterations += found.iterations;
+            *time += found.solution.time;
+            let gain = self.likelihood(&found) - self.likelihood(fit);
+            if gain.is_nan() || gain < -SAME {
+                break;
+            }
+            *fit = found;
+            if gain < GAIN {
+                break;
+            }
+        }
+        Ok(())
     }
 
     /// Returns how many restarts in a row without a gain end a search.

@@ -257,7 +257,8 @@ impl Printer<'_> {
                 continue;
             };
             // Numbers beside each other would run together.
-            let apart = op == Op::Mul && style.delimits && index == 1 && matches!(arg.node(), Node::Constant(_));
+            let apart =
+                op == Op::Mul && style.delimits && index == 1 && matches!(arg.node(), Node::Constant(_));
             stack.push(Task::Text(if apart { " \\cdot " } else { &rest[..at] }));
             let brackets = self.in_brackets(op, index, arg);
             stack.extend(brackets.then_some(Task::Text(style.open)));
@@ -325,7 +326,8 @@ const GREEK: &[&str] = &[
 
 /// What forces, moments and their coefficients are differentiated with respect to.
 const VARIABLES: &[&str] = &[
-    "0", "u", "v", "w", "p", "q", "r", "a", "b", "V", "da", "de", "df", "dr", "ds", "dt", "alpha", "beta", "theta",
+    "0", "u", "v", "w", "p", "q", "r", "a", "b", "V", "da", "de", "df", "dr", "ds", "dt", "alpha", "beta",
+    "theta",
 ];
 
 /// The symbol of a name: Greek letters by their names, an index after each `_`, and stability and control derivatives as

@@ -71,6 +71,14 @@ def test_an_output_that_was_recorded_late_is_not_distinguished_from_an_early_inp
     assert abs(found.coefficient) == pytest.approx(0.006, abs=4.0 * found.std_error)
 
 
+def test_the_clock_of_an_output_without_data_held_out() -> None:
+    """By the other clock the output lacks samples at the end, which the model as it was is not asked for either."""
+    fit = ph.estimate(_boat(), _record(1, "a", 0.006, late=0.4, of=("r",)))
+    (found,) = named(ph.diagnose(fit))
+    assert "r:clock" in {found.cause, *found.aliases}
+    assert found.explained > 0.9
+
+
 def test_the_clock_of_one_output_among_others_is_named() -> None:
     """The acceleration tells that the input is in time, and the position is not."""
 

@@ -161,8 +161,11 @@ def _by_another_clock(
 def _explaining(one: RecordedInput, base: Refit) -> RecordedInput | None:
     """Return what the records themselves say of it, where none are held out; None where it explains next to nothing of
     their misfit, however likely it is."""
-    misfit = Misfitting.of(base.linear)
-    explained = Simulated.of(one.refit.linear).explained(Simulated.of(base.linear), misfit)
+    # By another clock outputs lack samples at an end of the records.
+    same = fitted_to(base, one.clock.known(dataset(base.fit))) if one.clock is not None else base
+    if same is None:
+        return None
+    explained = Simulated.of(one.refit.linear).explained(Simulated.of(same.linear), Misfitting.of(same.linear))
     return replace(one, explained=explained) if one.kind == "cubic" or _counts(explained) else None
 
 

@@ -501,7 +501,7 @@ def test_progress_function_sees_every_iteration() -> None:
 
 def test_progress_true_prints(capfd: pytest.CaptureFixture[str]) -> None:
     ph.estimate(lag(), lag_record(), progress=True)
-    assert "lag: iteration    0  logL" in capfd.readouterr().err
+    assert "lag: iteration   0  logL" in capfd.readouterr().err
 
 
 def test_error_of_the_progress_function_comes_out() -> None:

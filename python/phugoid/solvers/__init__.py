@@ -93,6 +93,8 @@ class Solution:
 
 Watch = Callable[[Iteration], None]
 
+_TITLE = 22  # characters of a title beside which the rest fits in a line of 80
+
 
 class Progress:
     """Shows the iterations: one line that is overwritten, or every tenth iteration where lines are not."""
@@ -107,8 +109,8 @@ class Progress:
             self.line.keep()
         if self.line.is_overwritten or line.number % 10 == 0:
             self.line.show(
-                f"{self.title}: iteration {line.number:4d}  logL {line.log_likelihood:16.6f}  "
-                f"defect {line.defect:8.1e}  dual {line.dual:8.1e}  step {line.step:7.1e}"
+                f"{self.title[:_TITLE]}: iteration {line.number:3d}  logL {line.log_likelihood:.3f}  "
+                f"defect {line.defect:.0e}  to gain {line.dual:.0e}"
             )
         self.shown = line.number
 

@@ -76,7 +76,7 @@ def test_a_mesh_too_coarse_for_the_motion_is_told_of_until_it_is_refined() -> No
     coarse = ph.estimate(m, people, transcription=ph.Collocation(segments=[e.t for e in people]))
     assert max(float(e.worst.max()) for e in coarse.integration_error()) > 0.1
     (told,) = [w for w in coarse.warnings if "the mesh is coarse" in w]
-    assert "from t = 1.1 to 5.1 of '" in told and "refine=True" in told
+    assert "from t = 1.1 to 5.1 of '" in told and "the option refine" in told
     assert told in coarse.summary()
     assert any("mesh is coarse" in r for r in remarks(coarse))
     refined = ph.estimate(m, people, transcription=ph.Collocation(refine=True))

@@ -308,7 +308,7 @@ def test_progress_takes_one_line_of_a_notebook(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: kernel))
     monkeypatch.setitem(sys.modules, "IPython.display", types.SimpleNamespace(display=display))
     fit = ph.estimate(pictures.pitch(), pictures.flights()[0], progress=True)
-    assert len(shown) == 1 and f"iteration {fit.iterations:4d}" in shown[0]
+    assert len(shown) == 1 and f"iteration {fit.iterations:3d}" in shown[0]
     fit.bootstrap(4, progress=True)
     assert len(shown) == 2 and shown[1].endswith("4/4")
     assert capsys.readouterr().err == ""

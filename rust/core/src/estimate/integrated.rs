@@ -68,9 +68,11 @@ impl Estimation<'_> {
                 let text = "the model integrated with these estimates has the log-likelihood";
                 fit.message = format!("{}; {text} {}", fit.message, short(found, 6));
             }
-            // Of a motion at rest, say, no error of a segment reaches a sample.
             Ok(found) if (found - path).abs() <= DIFFERENT => {
-                fit.warnings.retain(|text| !text.starts_with(COARSE_MESH));
+                // Of a motion at rest, say, no error of a segment reaches a sample. A mesh that was given is the user's.
+                if self.follows_motion() {
+                    fit.warnings.retain(|text| !text.starts_with(COARSE_MESH));
+                }
             }
             Ok(found) => {
                 if fit.status.is_end() && self.follows_motion() && (found - path).abs() > WRONG {

@@ -25,7 +25,7 @@ COMMANDS = {
     "simulate": ("commands", "Simulate a model with the inputs of a data file."),
     "validate": ("commands", "Validate a fitted model on other records."),
     "petab": ("petab", "Estimate a problem in the PEtab format from many starts."),
-    "example": ("example", "Write an example: a model file and two simulated records."),
+    "example": ("example", "Write an example: a model file, two simulated records and a page."),
 }
 
 

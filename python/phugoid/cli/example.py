@@ -44,9 +44,9 @@ def example(
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     json: JsonOption = False,
 ) -> None:
-    """Write an example: a model file, two simulated records, and a page on what to look for.
+    """Write an example: a model file, two simulated records and a page.
 
-    A list of the commands to run on it is printed, too.
+    The page says what to look for. A list of the commands to run on it is printed, too.
     """
     if every or name is None:
         if json:

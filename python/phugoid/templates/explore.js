@@ -192,13 +192,14 @@ function explore(box, data) {
     back.disabled = span === whole;
     told.textContent = at < 0 ? data.note : `at ${number(t[at])} ${data.unit}`;
   }
-  new ResizeObserver(() => {
-    /* What is told while the pointer is over a panel is shorter than the note: nothing below shall move. */
+  /* What is told while the pointer is over a panel is shorter than the note: nothing below shall move. */
+  const reserve = () => {
     told.textContent = data.note;
     bar.style.minHeight = "";
     bar.style.minHeight = bar.offsetHeight + "px";
     redraw();
-  }).observe(box);
+  };
+  new ResizeObserver(() => requestAnimationFrame(reserve)).observe(box);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 }
 

@@ -238,12 +238,8 @@ _BEGUN = 3.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FlexibleMode(Effect):
-    """A lightly damped mode that what stands at the place excites, and that acts there: it becomes it + c (z - it) with
-    z'' = w^2 (it - z) - 2 zeta w z', and at rest at first, with z as large as it is, or in motion.
-
-    The static effect of the mode is that of the model's own parameters, as with derivatives that are corrected for
-    static aeroelasticity: with c z in its place all of them would change by the factor 1 + c.
-    """
+    """A lightly damped mode that what stands at the place excites, and that acts there: it becomes it + c z with
+    z'' = w^2 (it - z) - 2 zeta w z', and at rest at first, with z as large as it is, or in motion."""
 
     stage: int = 5
     steady: bool = True
@@ -274,7 +270,7 @@ class FlexibleMode(Effect):
         return of(group, self.place.name, points, self.place.kind)
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
-        return self._moved(points, shape[self.shape_names[0]])[:1] - self._it(points)
+        return self._moved(points, shape[self.shape_names[0]])[:1]
 
     def _moved(self, points: Points, frequency: float) -> _Array:
         """Return (2, n) z and its rate."""
@@ -302,7 +298,7 @@ class FlexibleMode(Effect):
             return rate, w**2 * (it - z) - 2 * zeta * w * rate
 
         z, _ = extension.states(self._states, right, (it, 0.0) if self.steady else (None, None))
-        extension.add(self.place, c * (z - it))
+        extension.add(self.place, c * z)
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:

@@ -333,7 +333,7 @@ const VARIABLES: &[&str] = &[
 /// The symbol of a name: Greek letters by their names, an index after each `_`, and stability and control derivatives as
 /// they are written: `Cma` is C_{m\alpha}, `Mde` is M_{\delta e}.
 fn latex_symbol(name: &str) -> String {
-    if let Some((head, axis, about)) = derivative(name) {
+    if let Some(Derivative { head, axis, about }) = derivative(name) {
         return format!("{head}_{{{axis}{}}}", latex_variable(about));
     }
     let (head, tail) = name.split_once('_').unwrap_or((name, ""));
@@ -349,9 +349,15 @@ fn greek(name: &str) -> Option<String> {
     is.then(|| format!("\\{name}"))
 }
 
-/// What a name of a derivative consists of: coefficient, axis, and the variable that it is with respect to. A force or
-/// moment without a coefficient has no axis; a coefficient may be that of the force itself, `CL`.
-fn derivative(name: &str) -> Option<(&str, &str, &str)> {
+/// What the name of a stability or control derivative consists of. A force or moment that is no coefficient has no axis; a
+/// coefficient may be that of the force itself, `CL`, which is with respect to nothing.
+struct Derivative<'a> {
+    head: &'a str,
+    axis: &'a str,
+    about: &'a str,
+}
+
+fn derivative(name: &str) -> Option<Derivative<'_>> {
     if !name.is_ascii() || name.len() < 2 {
         return None;
     }
@@ -361,7 +367,7 @@ fn derivative(name: &str) -> Option<(&str, &str, &str)> {
         _ => return None,
     };
     let known = VARIABLES.contains(&about) || (head == "C" && about.is_empty());
-    known.then_some((head, axis, about))
+    known.then_some(Derivative { head, axis, about })
 }
 
 fn latex_variable(name: &str) -> String {

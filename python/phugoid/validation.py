@@ -281,6 +281,7 @@ def validate(
         sizes = {n: _predicted_std(records, n) if filtered else known.get(n, math.nan) for n in model.output_names}
         return ByName("output", {n: match(records, n, sizes[n], limits.get(n)) for n in model.output_names})
 
+    of_outputs = matches(records)
     return Validation(
         model=model,
         noise=noise,
@@ -291,8 +292,8 @@ def validate(
         initial_states=found.initial_states,
         log_likelihood=found.log_likelihood,
         chi_square=total,
-        degrees_of_freedom=_measured(model, records) - estimated,
-        matches=matches(records),
+        degrees_of_freedom=sum(m.samples for m in of_outputs.values()) - estimated,
+        matches=of_outputs,
         by_experiment=ByName("experiment", {r.name: matches([r]) for r in records}),
         status=found.status,
         message="" if found.converged else found.message,
@@ -470,11 +471,6 @@ def _start(fit: FitResult, slim: Model, held: Mapping[str, float], free: Sequenc
         if name not in measured:
             start[name] = float(np.mean(np.concatenate([r.states[name] for r in fit.records])))
     return start
-
-
-def _measured(model: Model, records: Sequence[Record]) -> int:
-    """Return the number of measured values."""
-    return sum(int(np.isfinite(r.measured[name]).sum()) for r in records for name in model.output_names)
 
 
 def _estimated(model: Model, free: Sequence[str], found: FitResult) -> int:

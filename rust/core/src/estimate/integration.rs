@@ -23,7 +23,7 @@ const FLOOR: f64 = 1e-6;
 const UNMEASURED: f64 = 1e-2;
 /// Errors of a segment below this, in units of the noise, are small beside it.
 const COARSE: f64 = 0.1;
-/// How a warning of larger ones begins.
+/// Begins the warnings of a mesh that is too coarse.
 pub(super) const COARSE_MESH: &str = "the mesh is coarse";
 /// The same of all segments together: the noise that a fit finds has what they add up to within it.
 const ACCUMULATED: f64 = 0.1;

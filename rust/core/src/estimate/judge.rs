@@ -31,7 +31,7 @@ pub(super) const NOT_FEASIBLE: &str = "the states do not satisfy the equations w
 const SINGULAR: f64 = 1e-12;
 /// Parameters with a larger part in its eigenvector are named.
 const PART: f64 = 0.1;
-/// Of a point that is no maximum no more than so many variables at once are said to be undetermined.
+/// Limits how many variables at once are said to be undetermined at a point that is no maximum.
 const FEW: usize = 3;
 /// What is 0 hides what it multiplies, so that products of parameters have no slope at a start of zeros.
 const NO_MAXIMUM: &str = "not a proper maximum: the log-likelihood grows from here in some direction; start from \

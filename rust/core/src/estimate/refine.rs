@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::fit::{Estimate, Fit};
-use super::integration::IntegrationError;
+use super::integration::{COARSE_MESH, IntegrationError};
 use super::print::short;
 use super::run::Watch;
 use super::{Estimation, Transcription};
@@ -176,7 +176,7 @@ impl Estimation<'_> {
         if finer.status == Status::Converged && (finer.log_likelihood - fit.log_likelihood).abs() > DIFFERENT
         {
             fit.warnings.push(format!(
-                "the mesh is coarse: with segments half as long the log-likelihood is {}, and not {}, for errors of the integration \
+                "{COARSE_MESH}: with segments half as long the log-likelihood is {}, and not {}, for errors of the integration \
                  add up along the records: the option refine of the collocation divides the mesh as needed",
                 short(finer.log_likelihood, 6),
                 short(fit.log_likelihood, 6)

@@ -28,7 +28,7 @@ const GAIN: f64 = 1e-3;
 const SAME: f64 = 0.1;
 /// Most draws for parameters at which the model can be simulated, and its outputs are others.
 const DRAWS: usize = 30;
-/// How often a run goes on from an end that lacks iterations.
+/// Limits how often a run goes on from an end that lacks iterations.
 const FURTHER: usize = 2;
 
 impl Estimation<'_> {

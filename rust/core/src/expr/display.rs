@@ -324,7 +324,7 @@ const GREEK: &[&str] = &[
     "nu", "xi", "pi", "rho", "sigma", "tau", "upsilon", "phi", "chi", "psi", "omega",
 ];
 
-/// What forces, moments and their coefficients are differentiated with respect to.
+/// Lists what forces, moments and their coefficients are differentiated with respect to.
 const VARIABLES: &[&str] = &[
     "0", "u", "v", "w", "p", "q", "r", "a", "b", "V", "da", "de", "df", "dr", "ds", "dt", "alpha", "beta",
     "theta",
@@ -349,7 +349,7 @@ fn greek(name: &str) -> Option<String> {
     is.then(|| format!("\\{name}"))
 }
 
-/// What the name of a stability or control derivative consists of. A force or moment that is no coefficient has no axis; a
+/// Holds the parts of the name of a stability or control derivative. A force or moment that is no coefficient has no axis; a
 /// coefficient may be that of the force itself, `CL`, which is with respect to nothing.
 struct Derivative<'a> {
     head: &'a str,

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
-__all__ = ["StatusLine", "bar", "remaining"]
+__all__ = ["StatusLine", "bar", "remaining", "steps_shown"]
 
 _CELLS = 20
+# Seconds between steps that are shown where each takes a line.
+_EVERY = 5.0
 
 
 def bar(done: int, total: int) -> str:
@@ -69,6 +74,29 @@ class StatusLine:
         if self._terminal and self._shown:
             print(file=sys.stderr)
         self._handle, self._shown = None, False
+
+
+@contextmanager
+def steps_shown(work: str, progress: bool | Callable[[str], None]) -> Iterator[Callable[[str], None]]:
+    """Yield a function to call with each step of a work: it shows the step, and the time since the first, or calls
+    ``progress``, where that is a function; where that is False it does nothing."""
+    if callable(progress) or not progress:
+        yield progress if callable(progress) else lambda _: None
+        return
+    line, began, shown = StatusLine(), time.monotonic(), -math.inf
+
+    def show(text: str) -> None:
+        nonlocal shown
+        now = time.monotonic()
+        if line.is_overwritten or now - shown > _EVERY:
+            shown = now
+            line.show(f"{work}, {now - began:.0f} s: {text}")
+
+    try:
+        yield show
+        line.show(f"{work}: done after {time.monotonic() - began:.1f} s")
+    finally:
+        line.keep()
 
 
 def _in_notebook() -> bool:

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 from ..data.experiment import Experiment
-from ..errors import DataError, EvaluationError, joined, some
-from ..fit_result import ENDED_WELL, FitResult, dataset
-from ..modelling.model import Model
-from ..progress import StatusLine
-from ..sensitivities.tangents import collocated
+from ..errors import DataError, EvaluationError, joined
+from ..fit_result import FitResult, dataset
+from ..progress import steps_shown
 from ..solvers import Deadline, check_time, interrupts, limited, one_blas_thread
-from .arguments import candidates_given, check_fit, check_size, freed, validation_given
+from .arguments import candidates_given, check_fit, freed, validation_given
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
 from .discrimination import advice_of
+from .notes import notes_of_shared_terms, search_notes
+from .prepared import PreparedRecords, prepared, within
 from .search import Search, SearchResult
 from .search.confirmation import Found
 from .search.finding import DiagnosisResult, ExtensionResult, Finding, Scored
@@ -29,24 +27,17 @@ from .search.findings import (
     finding_of_record_change,
     finding_of_recorded_input,
     finding_of_remainder,
-    finding_of_sensor_fault,
-    finding_of_unsigned_sensor,
     no_optimum,
 )
 from .search.other_laws import other_laws, words_of_laws
-from .search.parts import Parts, parts_of
 from .search.refit import Refit, is_structured
 from .search.remainder import RemainderSettings
-from .search.restart import Restart, of_shared_terms, restarted, with_optimum
-from .search.scan import Scan
-from .search.segments import Segments, Thinned, segments_of, thinned
-from .search.sensor_fault import SensorFault, UnsignedSensor, sensor_faults, unsigned_sensor, without_faults
+from .search.restart import of_shared_terms, with_optimum
+from .search.segments import segments_of
 from .search.stages import Inquiry, ranked, ranking_of, stages, words_of_inputs
 from .search.surrogates import with_held_out
 
 __all__ = ["diagnose"]
-
-_Found = TypeVar("_Found")
 
 _NOT_EXCITED = (
     "The validation records hardly excite {}: its gain on data held out is that of cross-validation within the records."
@@ -78,11 +69,6 @@ def _is_minor(search: Search, result: SearchResult, found: Found, kept: Refit) -
 # Part of the residuals' power that is predictable in the records of the fit, at most, and in those held out, at least,
 # and times the RMS of the former, for what is missing to be searched for in all records together.
 _HIDDEN = 0.5, 0.5, 1.5
-
-# How a search ended before its end, in words.
-_EARLY = {"interrupted": "The search was interrupted", "time limit": "The search reached its time limit"}
-# Candidates without a direction of their own that a note names.
-_LOST_NAMED, _RECORDS_NAMED = 12, 4
 
 
 def diagnose(
@@ -131,32 +117,32 @@ def diagnose(
     free = freed(fit, others, biases)
     declared = {*fit.model.quantity_names}
     if candidates is None or isinstance(candidates, Mapping):
-        fit = _within(deadline, partial(of_shared_terms, fit), fit)
-    records = _prepared(fit, others, deadline)
+        fit = within(deadline, partial(of_shared_terms, fit), fit)
+    records = prepared(fit, others, deadline)
     if records.base is None:
         assert records.restart is not None
         none: list[Refit] = []
-        likelier = _within(deadline, partial(_with_optimum, records.fit, candidates), none)
+        likelier = within(deadline, partial(_with_optimum, records.fit, candidates), none)
         return no_optimum(records.given, records.restart.words, likelier, time.perf_counter() - started)
-    with _shown(progress) as watch, one_blas_thread():
+    with steps_shown("diagnose", progress) as watch, one_blas_thread():
 
         def step(text: str) -> None:
             check_time()
             watch(text)
 
         found = _searched(records, candidates, free, step, deadline)
-        again = _within(deadline, partial(_over_segments, found, step), None) if found.is_open else None
+        again = within(deadline, partial(_over_segments, found, step), None) if found.is_open else None
         if again is not None:
             other = _searched(again, candidates, free, step, deadline)
             found = found if other.is_open else other
-        together = _within(deadline, partial(_together, found, step), None)
+        together = within(deadline, partial(_together, found, step), None)
         if together is not None:
             other = _searched(together, candidates, None, step, deadline)
             found = other if other.explains_most else found
         records, state = found.records, found.state
         reported = _reported(records, state, deadline)
     with interrupts():
-        notes = (*_notes_of_shared_terms(fit.model, declared), *_all_notes(found, reported))
+        notes = (*notes_of_shared_terms(fit.model, declared), *_all_notes(found, reported))
         # An input that is held is a finding; one that was sampled slowly is none, nor what comes of it.
         corrected = state.sampled is not None or any(b.kind == "cubic" for b in state.inputs)
         whole = records.parts.whole.fit if records.parts is not None else records.fit
@@ -176,77 +162,11 @@ def diagnose(
 
 
 @dataclass(frozen=True, eq=False)
-class _Records:
-    """Hold what is searched: the records without the faults of their sensors, or parts of them.
-
-    given     the fit to diagnose, of the records without these faults; ``fit``: of what is searched.
-    base      the same, at an optimum; None where there is none.
-    others    the validation records, like the records.
-    faults, unsigned, restart, thin, parts, segments   what was done to come to this; None or empty where not needed.
-    together   whether the records held out are searched as well, and nothing is held out.
-    """
-
-    given: FitResult
-    fit: FitResult
-    base: Refit | None
-    others: Sequence[Experiment]
-    faults: Sequence[SensorFault] = ()
-    unsigned: UnsignedSensor | None = None
-    restart: Restart | None = None
-    thin: Thinned | None = None
-    parts: Parts | None = None
-    segments: Segments | None = None
-    together: bool = False
-
-    @property
-    def causes(self) -> list[str]:
-        """Return the causes that were found in the samples themselves."""
-        return [f.cause for f in self.faults] + ([self.unsigned.cause] if self.unsigned is not None else [])
-
-    @property
-    def findings(self) -> list[Finding]:
-        """Return what is reported of these."""
-        faults = [finding_of_sensor_fault(f, self.fit.model.time_unit) for f in self.faults]
-        return faults + ([finding_of_unsigned_sensor(self.unsigned)] if self.unsigned is not None else [])
-
-
-def _prepared(fit: FitResult, others: Sequence[Experiment], deadline: Deadline) -> _Records:
-    """Return what is searched of a fit and the validation records."""
-    no_faults: tuple[list[SensorFault], FitResult] = ([], fit)
-    faults, fit = _within(deadline, partial(sensor_faults, fit), no_faults)
-    others = without_faults(others, faults) if faults else others
-    unsigned = _within(deadline, partial(unsigned_sensor, fit), None)
-    fit = unsigned.fit if unsigned is not None else fit
-    begun = collocated(fit) if fit.status in ENDED_WELL else fit
-    records = _Records(fit, begun, None, others, faults, unsigned)
-    if begun.status not in ENDED_WELL:
-        not_again = f"The fit ended as '{begun.status}', and the diagnosis before it could be estimated again"
-        restart = _within(deadline, partial(restarted, begun, others), Restart(None, not_again))
-        records = replace(records, restart=restart)
-        if restart.fit is None:
-            return records
-        begun = restart.fit
-    base = Refit((), begun)
-    check_size(base)
-    again = records.restart is not None
-    thin = None if again else _within(deadline, partial(thinned, base, others), None)
-    base, others = (base, others) if thin is None else (thin.base, thin.validation)
-    segments = records.restart.segments if records.restart is not None else None
-    parts = _within(deadline, partial(parts_of, base, others), None) if segments is None else None
-    base, others = (base, others) if parts is None else (parts.base, parts.validation)
-    segments = segments or _within(deadline, partial(segments_of, base, others), None)
-    base, others = (base, others) if segments is None else (segments.base, segments.validation)
-    # That of a fit as it was given is the user's own, on its own mesh.
-    own = fit if not again and thin is None and parts is None and segments is None else base.fit
-    return replace(records, fit=own, base=base, others=others, thin=thin, parts=parts, segments=segments)
-
-
-@dataclass(frozen=True, eq=False)
 class _Searched:
     """Hold a search of records: the candidates that were ``listed``, what is ``free`` on the validation data, why these
     are ``unfitted`` ("" where they are not), and the ``state`` at its end."""
 
-    records: _Records
+    records: PreparedRecords
     listed: Sequence[Candidate]
     free: Sequence[str] | None
     unfitted: str
@@ -275,7 +195,7 @@ class _Searched:
 
 
 def _searched(
-    records: _Records,
+    records: PreparedRecords,
     candidates: Any,
     free: Sequence[str] | None,
     step: Callable[[str], None],
@@ -302,7 +222,7 @@ def _searched(
     return _Searched(records, listed, free, unfitted, state)
 
 
-def _over_segments(found: _Searched, step: Callable[[str], None]) -> _Records | None:
+def _over_segments(found: _Searched, step: Callable[[str], None]) -> PreparedRecords | None:
     """Return the records of a search that named nothing in segments, where the model drifts away from the whole; None
     where it does not."""
     records = found.records
@@ -316,7 +236,7 @@ def _over_segments(found: _Searched, step: Callable[[str], None]) -> _Records | 
     return replace(records, fit=pieces.base.fit, base=pieces.base, others=pieces.validation, segments=pieces)
 
 
-def _together(found: _Searched, step: Callable[[str], None]) -> _Records | None:
+def _together(found: _Searched, step: Callable[[str], None]) -> PreparedRecords | None:
     """Return the records of a search that named nothing together with those held out, where the model fits the former
     and is wrong by more on the latter; None where it does not. Records that hardly excite what is missing hide it, and
     so do parameters that stand in for it, with other values in each record."""
@@ -347,7 +267,7 @@ class _Reported:
     ended: str
 
 
-def _reported(records: _Records, state: Inquiry, deadline: Deadline) -> _Reported:
+def _reported(records: PreparedRecords, state: Inquiry, deadline: Deadline) -> _Reported:
     """Return what is reported of a state, with what more is to be worked out for that within the time limit."""
     search, result = state.search, state.result
     ended = deadline.ended() if state.interrupted else ""
@@ -401,47 +321,6 @@ def _is_of_inputs(state: Inquiry) -> bool:
     )
 
 
-def _within(deadline: Deadline, work: Callable[[], _Found], otherwise: _Found) -> _Found:
-    """Return what is found within the time limit, or what there is where that, or the user, ends it."""
-    try:
-        with deadline.in_force():
-            return work()
-    except KeyboardInterrupt:
-        return otherwise
-
-
-def _shown(progress: Any) -> Any:
-    """Return a context that gives what to call with each step."""
-    if callable(progress):
-        return nullcontext(progress)
-    if not progress:
-        return nullcontext(lambda _: None)
-    return _steps_shown()
-
-
-# Seconds between steps that are shown where each takes a line.
-_EVERY = 5.0
-
-
-@contextmanager
-def _steps_shown() -> Iterator[Callable[[str], None]]:
-    """Yield a function to call with each step of a diagnosis: it shows the step, and the time since the first."""
-    line, began, shown = StatusLine(), time.monotonic(), -math.inf
-
-    def show(text: str) -> None:
-        nonlocal shown
-        now = time.monotonic()
-        if line.is_overwritten or now - shown > _EVERY:
-            shown = now
-            line.show(f"diagnose, {now - began:.0f} s: {text}")
-
-    try:
-        yield show
-        line.show(f"diagnose: done after {time.monotonic() - began:.1f} s")
-    finally:
-        line.keep()
-
-
 def _with_optimum(fit: FitResult, candidates: Any) -> list[Refit]:
     try:
         return with_optimum(fit, candidates_given(fit, candidates, Refit((), fit)))
@@ -461,7 +340,7 @@ def _all_notes(found: _Searched, reported: _Reported) -> tuple[str, ...]:
         *([records.restart.words] if records.restart is not None else []),
         *([unfitted] if unfitted else []),
         *([_TOGETHER.format(joined([e.name for e in dataset(records.fit)]))] if records.together else []),
-        *_notes(scan, final, found.listed, others, found.free, reported.ended, search.settings.most),
+        *search_notes(scan, final, found.listed, others, found.free, reported.ended, search.settings.most),
         *state.result.remarks,
         *reported.laws,
         *([_OF_THESE_RECORDS.format(", ".join(alone))] if alone else []),
@@ -469,52 +348,3 @@ def _all_notes(found: _Searched, reported: _Reported) -> tuple[str, ...]:
         *words_of_inputs(state.inputs, state.sampled, final.fit.model.time_unit),
         *(each.note for each in (records.segments, records.parts, records.thin) if each is not None),
     )
-
-
-def _notes_of_shared_terms(model: Model, declared: Collection[str]) -> list[str]:
-    """Return what the quantities stand for that were declared for the search."""
-    added = [f"{n} = {e}" for n, e in model.quantity_expressions().items() if n not in declared]
-    return [f"Quantities were declared for what equations share: {'; '.join(added)}."] if added else []
-
-
-def _shares(model: Model) -> bool:
-    """Return whether several state equations have a parameter in common."""
-    right = model._right_hand_sides()
-    within = [{*e.symbols} for (kind, _), e in right.items() if kind == "equation"]
-    return any(sum(n in symbols for symbols in within) > 1 for n in model.parameter_names)
-
-
-def _notes(
-    scan: Scan | None,
-    final: Refit,
-    listed: Sequence[Candidate],
-    others: Sequence[Experiment],
-    free: Sequence[str] | None,
-    ended: str,
-    most: int,
-) -> tuple[str, ...]:
-    if scan is None:
-        return (f"{_EARLY[ended]} before the {len(listed)} candidates were scanned: only the misfit is reported.",)
-    notes = [f"{len(listed)} candidates were scanned, with {len(scan.effects)} values of their shape parameters."]
-    if scan.lost:
-        notes.append(f"Indistinguishable from parameters of the model: {some(scan.lost, _LOST_NAMED)}.")
-    if others:
-        what = "sensor biases" if free is None else ", ".join(free) or "nothing else"
-        notes.append(
-            f"Gains were computed on {some([e.name for e in others], _RECORDS_NAMED)}, with initial states and {what} "
-            "re-estimated."
-        )
-    else:
-        notes.append(
-            "Gains were computed by cross-validation: each quarter of the record was predicted from the others."
-        )
-    if len(final.candidates) >= most:
-        notes.append(f"The search ends after {most} findings: diagnose the extended fit to continue.")
-    if not final.fit.model.quantity_names and _shares(final.fit.model):
-        notes.append(
-            "The model declares no quantities. Of a force, a flow or a rate that several equations share, candidates "
-            "act on all of them at once where it is declared by m.quantities(...)."
-        )
-    if ended:
-        notes.append(f"{_EARLY[ended]}: the results up to then are given.")
-    return tuple(notes)

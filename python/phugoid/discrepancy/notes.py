@@ -41,9 +41,9 @@ def search_notes(
     ended: str,
     most: int,
 ) -> tuple[str, ...]:
-    """Return notes on a search: how many candidates were ``listed`` and what the first ``scan`` left of them, None where
-    it was not reached; on which data held out, ``others``, gains were computed, with what ``free``; and how the search
-    ``ended`` before its end, "" where it did not, or after the ``most`` findings that it may have."""
+    """Return notes on a search: how many candidates were ``listed``, and what the first ``scan`` left of them (None
+    where it was not reached); on which data held out, the ``others``, gains were computed, with what ``free``; and how
+    the search ``ended`` before its end ("" where it did not), or after the ``most`` findings that it may have."""
     if scan is None:
         return (f"{_EARLY[ended]} before the {len(listed)} candidates were scanned: only the misfit is reported.",)
     notes = [f"{len(listed)} candidates were scanned, with {len(scan.effects)} values of their shape parameters."]

@@ -14,6 +14,7 @@ from ...sensitivities.linearised import Linearised
 from ...time_unit import TimeUnit
 from ..candidates.candidate import Candidate, Effect, added_by_centre
 from .admissibility import is_free_motion, is_physical, is_plausible
+from .centre import about_own_centre, about_zero
 from .confirmation import Confirmation, ConfirmationSettings, Found, Refitting, RefittingSettings
 from .evidence import Assessment, AssessmentSettings
 from .finding import ExtensionResult, Gain
@@ -222,9 +223,11 @@ class Search:
             tried += [(fewer, c)] if fewer is not None else []
         least = at.merit - self.settings.same
         for begun, c in tried:
-            found = self.cache.about_zero(begun, c) if begun is not at else None
+            found = about_zero(self.cache.base, begun, c, self.cache.watch) if begun is not at else None
             if found is None or found.merit < least:
-                found = self.cache.about_own_centre(begun, c, self.settings.centre, at.own.filter)
+                found = about_own_centre(
+                    self.cache.base, begun, c, self.settings.centre, at.own.filter, self.cache.watch
+                )
             if found is not begun and found.merit > least:
                 assert isinstance(c, Effect)
                 self.cache.adopt(found, c)

@@ -231,6 +231,45 @@ def test_common_names_of_times_are_found(table: Any, header: str) -> None:
     assert read(table(f"{header};q\n0.5;1\n1.5;2\n")).t.tolist() == [0.5, 1.5]
 
 
+def test_microseconds_of_autopilots_become_seconds(table: Any) -> None:
+    ardupilot = read(table("TimeUS,GyrX,AccZ\n81000250,0.1,-9\n81020250,0.2,-9\n"))
+    assert ardupilot.t.tolist() == pytest.approx([81.00025, 81.02025]) and ardupilot.units["time"] == "s"
+    path = table("timestamp,q\n4000000,1\n4004010,2\n4008000,3\n")
+    px4 = read(path)
+    assert px4.t.tolist() == pytest.approx([4.0, 4.00401, 4.008]) and px4.units["time"] == "s"
+    assert px4.history == ("times 'timestamp' read as microseconds",)
+    assert read(path, time="timestamp").t.tolist() == px4.t.tolist()
+    assert read(path, units={"timestamp": "ms"}).t[0] == 4000.0
+    since_1970 = read(table("timestamp,q\n1764412800000000,1\n1764412800010000,2\n"))
+    assert np.diff(since_1970.t) == pytest.approx([0.01], rel=1e-3)
+    # Another name for the times is preferred, and the stamps are a column then.
+    both = read(table("time,timestamp,q\n0,4000000,1\n1,4004000,2\n"))
+    assert both.t.tolist() == [0.0, 1.0] and "timestamp" in both.channels
+    assert read(table("timestamp,TimeUS,q\n1.5,81000000,1\n1.6,81100000,2\n")).t[0] == 81.0
+
+
+STAMPS = {
+    "seconds": "0.5 0.6 0.7",
+    "whole seconds": "1 2 3",
+    "seconds since 1970": "1764412800 1764413800 1764414800",
+    "milliseconds since 1970": "1764412800000 1764412801000 1764412802000",
+    "nanoseconds": "4000000000 4004000000 4008000000",
+}
+
+
+@pytest.mark.parametrize("kind", STAMPS)
+def test_stamps_without_a_known_unit_are_not_guessed(table: Any, kind: str) -> None:
+    stamps = STAMPS[kind].split()
+    path = table("timestamp,q\n" + "".join(f"{each},{k}\n" for k, each in enumerate(stamps)))
+    assert has(refusal(path), "time 'timestamp'", "units={'timestamp': 's'}", "'ms', 'us', 'ns'")
+    unit = "ms" if kind.startswith("milli") else "ns" if kind.startswith("nano") else "s"
+    size = {"s": 1.0, "ms": 1e-3, "ns": 1e-9}[unit]
+    expected = [float(each) * size for each in stamps]
+    assert read(path, units={"timestamp": unit}).t.tolist() == pytest.approx(expected, rel=1e-15)
+    assert read(path, time="timestamp").t.tolist() == [float(each) for each in stamps]  # as the user names it
+    assert read(path, time_unit=unit).t.tolist() == [float(each) for each in stamps]
+
+
 def test_error_names_the_column_that_may_hold_the_times(table: Any) -> None:
     assert has(refusal(table("q,Test time base,V\n0,0,1\n1,1,2\n")), "such as time='Test time base'")
     assert has(refusal(table("clock,q,V\n0,0,1\n1,1,2\n")), "such as time='clock'")

@@ -17,7 +17,7 @@ from .checked import FloatArray, checked_gaps, real
 from .experiment import Experiment
 from .filtering import Interpolations
 from .multirate import multirate
-from .readers import TIME_UNITS, TIMES, Source, arrays, flight_logs, text
+from .readers import LOG_TIMES, TIME_UNITS, TIMES, Source, arrays, flight_logs, text
 from .units import convert as converted
 from .units import differ, si, target
 
@@ -81,8 +81,9 @@ class _Columns:
     ) -> None:
         self.where, self.name, self.rate = source.where, source.name, rate
         self.left_out, self._units, self._convert = source.left_out, units, convert
-        self._time_unit = time_unit
+        self._time_unit, self._time_is_named = time_unit, named is not None
         self._steps: dict[str, str] = {}
+        self._notes: list[str] = []
         self._labels: dict[str, str] = {}
         self._read: dict[str, FloatArray] = {}
         names = _renamed(source, rename)
@@ -124,7 +125,8 @@ class _Columns:
             where = f"{self.where}, time '{clock}'"
             values, dates = _seconds(self._columns[clock].values(clock))
             values = real(values, where)
-            unit = self._labels[clock] = "s" if dates else self._label(clock) or _unit_in_name(clock)
+            unit = "s" if dates else self._label(clock) or _unit_in_name(clock) or self._unit_of_stamps(clock, values)
+            self._labels[clock] = unit
             if unit:
                 # Seconds "since" some date, as the CF conventions write it, are seconds; a step of time is all we need.
                 measure = unit.partition(" since ")[0]
@@ -136,6 +138,21 @@ class _Columns:
                 self._labels[clock] = self._time_unit or "s"
             self._read[clock] = values
         return self._read[clock]
+
+    def _unit_of_stamps(self, clock: str, values: FloatArray) -> str:
+        """Return the unit of a column `timestamp` that has none, ``"us"`` where its values are such as logs of PX4 have
+        them, else ""; raise DataError for other values where the user has named neither the column nor a unit."""
+        if clock.lower() != "timestamp" or self._time_unit:
+            return ""
+        if _are_microseconds(values):
+            self._notes.append(f"times '{clock}' read as microseconds")
+            return "us"
+        if self._time_is_named:
+            return ""
+        raise DataError(
+            f"{self.where}, time '{clock}': its values do not show in which unit they are; give it, "
+            f"units={{'{clock}': 's'}} (or 'ms', 'us', 'ns')"
+        )
 
     def values(self, name: str) -> FloatArray:
         """Return the numbers of a column, converted where asked for; the step and the label are recorded."""
@@ -174,7 +191,7 @@ class _Columns:
         return {**found, "time": time} if time else found
 
     def history(self) -> list[str]:
-        return [f"converted {', '.join(self._steps.values())}"] if self._steps else []
+        return [*self._notes, *([f"converted {', '.join(self._steps.values())}"] if self._steps else [])]
 
     def _label(self, name: str) -> str:
         given = self._units.get(name, self._columns[name].unit)
@@ -224,19 +241,40 @@ def _renamed(source: Source, rename: Mapping[str, str]) -> list[str]:
 
 
 def _unit_in_name(clock: str) -> str:
-    """Return the unit with which the name of a time column ends, as in ``t_us``; "" where there is none."""
+    """Return the unit with which the name of a time column ends, as in ``t_us`` or ArduPilot's ``TimeUS``; "" where
+    there is none."""
+    if clock.lower() == LOG_TIMES[0]:
+        return "us"
     name, _, unit = clock.lower().rpartition("_")
     return unit if name in ("t", "time", "timestamp") and unit in TIME_UNITS else ""
 
 
+# Steps of a log in microseconds: 2 kHz to 5 Hz.
+_STEPS = (500.0, 200_000.0)
+# Seconds and milliseconds since 1970 of the years 1998 to 2052, where stamps may be no microseconds.
+_DATES = ((9e8, 2.6e9), (9e11, 2.6e12))
+
+
+def _are_microseconds(stamps: FloatArray) -> bool:
+    """Return whether stamps are whole numbers in steps of microseconds, and can be no seconds or milliseconds since
+    1970."""
+    there = stamps[np.isfinite(stamps)]
+    if there.size < 2 or (there != np.round(there)).any():
+        return False
+    low, high = float(there.min()), float(there.max())
+    dated = any(first < low and high < last for first, last in _DATES)
+    return not dated and _STEPS[0] <= float(np.median(np.diff(there))) <= _STEPS[1]
+
+
 def _time_of(source: Source, names: Sequence[str], named: str | None) -> str:
     """Return the name of the time column: as given, or the one whose header is as given; else ``t`` or one of
-    `TIMES`."""
+    `TIMES`, or of `LOG_TIMES`."""
     name = "t" if named is None else named
     if name in names:
         return name
     if named is None:
-        found = [n for n in names if n.lower() in TIMES]
+        tiers = (TIMES, *((name,) for name in LOG_TIMES))
+        found = next(filter(None, ([n for n in names if n.lower() in tier] for tier in tiers)), [])
     else:
         header = _bare(named)
         found = [n for n, c in zip(names, source.columns, strict=True) if header and _bare(c.header) == header]
@@ -333,7 +371,9 @@ def read(
                ``topic.field`` (of a second instance ``topic[1].field``), columns of matrices ``name[0]``.
     time       name of the time column, with its unit as in the header or without; None: ``t``, or what the file
                itself takes for time, or the one column that is called ``time``, ``Elapsed Time``, ``t_us`` or the like;
-               a unit with which the name ends is that of the column.
+               a unit with which the name ends is that of the column. Where there is none, ``TimeUS`` (microseconds)
+               or ``timestamp``, which is read as microseconds where it holds whole numbers with steps of 500 to
+               200,000, and otherwise needs its unit in ``units``.
                In a log, the field with the stamps, such as ``timestamp_sample``, of each topic that has it.
     inputs     names of the input columns; None: a model finds its inputs among all columns.
     outputs    the same for outputs. With both given, the other columns are not even looked at.

@@ -23,10 +23,10 @@ from .discrepancy.page.figures import (
     ranking_figure,
 )
 from .discrepancy.saved import save_diagnosis
-from .discrepancy.search.finding import DiagnosisResult, ExtensionResult
+from .discrepancy.search.finding import DiagnosisResult, ExtensionResult, Findings
 from .errors import DataError
 from .fit_result import FitResult
-from .notebook import Html, bullets, notebook_page, paragraph, table
+from .notebook import Html, bullets, notebook_page, paragraph
 from .summary import fit_html
 
 if TYPE_CHECKING:
@@ -160,14 +160,11 @@ class Diagnosis(DiagnosisResult, Generic[_F]):
         save_diagnosis(self, path)
 
     def _repr_html_(self) -> str:
-        rows = [f.cells() for f in self.findings]
-        heads = list(rows[0]) if rows else []
-        found = table(heads, [list(row.values()) for row in rows], "llllrrr")
         worst = self.misfit.table_html(most=3)
         return notebook_page(
             f"{self.fit.model.name}: diagnosis",
             paragraph(headline(self)),
-            found,
+            Findings(self.findings).table_html(),
             worst,
             bullets(self.notes),
             note=self.verdict,

@@ -21,7 +21,7 @@ from .modelling.model import Model
 from .modelling.noise import Noise
 from .parameters import Estimates, text_table
 from .records import Record, only
-from .solvers import Iteration, Solution
+from .solvers import History, Iteration, Solution
 from .transcription import Transcription
 
 __all__ = ["ENDED_WELL", "FitResult", "Refinement", "Smoothing", "SmoothingStep", "Step", "dataset"]
@@ -89,6 +89,7 @@ class FitResult:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "initial_states", ByName("experiment", self.initial_states))
+        object.__setattr__(self, "history", History(self.history))
 
     @property
     def converged(self) -> bool:

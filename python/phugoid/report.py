@@ -17,6 +17,7 @@ from .goodness_of_fit import Match, match
 from .notebook import equation
 from .pages import WIDTHS, PageTable, Picture, histories, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
+from .solvers import History
 from .summary import corrected
 from .uncertainty.correlation import correlation, plot_correlation
 from .validation import Validation
@@ -201,7 +202,7 @@ def _parameters(fit: FitResult) -> dict[str, Any]:
     return {
         "own": _estimates("parameter", own, coloured),
         "noise": _estimates("noise", of_noise, coloured),
-        "initial": PageTable(heads, first, "llrlrl"),
+        "initial": PageTable(heads, first, "lsrlrl"),
         "intervals": intervals,
         "correlation": correlation,
     }
@@ -212,7 +213,7 @@ def _estimates(head: str, estimates: list[Estimate], coloured: Estimates | None)
     for e in estimates:
         error = coloured[e.name].std_error if coloured else math.nan
         rows.append([e.name, *_cells(e)[:3], f"{error:.2g}" if math.isfinite(error) else "", *_cells(e)[3:]])
-    return PageTable([head, "estimate ± std error", "unit", "in %", "corrected", ""], rows, "lrlrrl")
+    return PageTable([head, "estimate ± std error", "unit", "in %", "corrected", ""], rows, "srlrrl")
 
 
 def _cells(e: Estimate) -> list[str]:
@@ -315,12 +316,7 @@ def _equations(fit: FitResult) -> tuple[dict[str, list[str]], list[str]]:
 
 
 def _solver(fit: FitResult) -> dict[str, Any]:
-    rows = [
-        [str(x.number), f"{x.log_likelihood:.6f}", f"{x.defect:.2e}", f"{x.dual:.2e}", f"{x.step:.3g}", str(x.trials)]
-        for x in fit.history
-    ]
-    heads = ["iteration", "log-likelihood", "largest defect", "distance", "step", "trials"]
     return {
         "picture": picture(*(plot_convergence(fit, w)[0] for w in WIDTHS)),
-        "table": PageTable(heads, rows, "rrrrrr"),
+        "table": PageTable(*History(fit.history).rows()),
     }

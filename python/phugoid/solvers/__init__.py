@@ -15,12 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import check_time_limit, part, whole
+from ..errors import check_time_limit, counted, part, whole
+from ..notebook import Rows, notebook_page, table
 from ..progress import StatusLine
 
 __all__ = [
     "HINTS",
     "Deadline",
+    "History",
     "Iteration",
     "Progress",
     "Solution",
@@ -63,6 +65,29 @@ class Iteration:
     what the next step promises to gain in log-likelihood, half the square of the distance in standard errors."""
     step: float
     trials: int
+
+
+class History(list[Iteration]):
+    """The iterations of a fit in order: a list, which notebooks show as a table."""
+
+    def rows(self) -> Rows:
+        """Return heads, rows and alignment of a table."""
+        heads = ["iteration", "log-likelihood", "largest defect", "distance", "step", "trials"]
+        rows = [
+            [
+                str(i.number),
+                f"{i.log_likelihood:.6f}",
+                f"{i.defect:.2e}",
+                f"{i.dual:.2e}",
+                f"{i.step:.3g}",
+                str(i.trials),
+            ]
+            for i in self
+        ]
+        return heads, rows, "rrrrrr"
+
+    def _repr_html_(self) -> str:
+        return notebook_page(counted(len(self), "iteration"), table(*self.rows()))
 
 
 @dataclass(frozen=True)

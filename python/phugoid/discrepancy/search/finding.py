@@ -9,16 +9,16 @@ from functools import cached_property
 from typing import Literal
 
 from ...data.experiment import Experiment
-from ...errors import OptionError
+from ...errors import OptionError, counted
 from ...fit_result import FitResult
 from ...modelling.model import Model
-from ...notebook import notebook_page, paragraph, sparkline, table
+from ...notebook import Html, notebook_page, paragraph, sparkline, table
 from ...parameters import plus_minus, text_table
 from ...renamed import Renamed
 from ..misfit import ChannelMisfit
 from ..misfit.misfit import Misfit, misfit
 
-__all__ = ["DiagnosisResult", "ExtensionResult", "Finding", "Gain", "Scored"]
+__all__ = ["DiagnosisResult", "ExtensionResult", "Finding", "Findings", "Gain", "Scored"]
 
 # Part of the residuals' power that their past predicts, from which on they are reported to have structure.
 _STRUCTURE = 0.05
@@ -260,6 +260,18 @@ def _percent(change: float) -> str:
     return "" if change != change else f"{round(100.0 * change):+d} %"
 
 
+class Findings(tuple[Finding, ...]):
+    """The findings of a diagnosis in their order: a tuple, which notebooks show as a table."""
+
+    def table_html(self) -> Html:
+        """Return a row for each finding, as HTML; nothing without any."""
+        rows = [f.cells() for f in self]
+        return table(list(rows[0]), [list(row.values()) for row in rows], "llllrrr") if rows else Html("")
+
+    def _repr_html_(self) -> str:
+        return notebook_page(counted(len(self), "finding"), self.table_html())
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class DiagnosisResult:
     """The data of a `Diagnosis`, which says what each attribute is."""
@@ -277,6 +289,9 @@ class DiagnosisResult:
     # Causes of inputs that act otherwise than they are recorded, and the validation records with these as they act.
     _inputs: tuple[str, ...] = ()
     _validation: tuple[Experiment, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "findings", Findings(self.findings))
 
     @cached_property
     def misfit(self) -> Misfit:

@@ -71,7 +71,7 @@ def test_page_has_all_of_the_fit(fit: ph.Fit, tmp_path: Path) -> None:
     source = (tmp_path / "fit.html").read_text(encoding="utf-8")
     page = Page(source)
     assert page.wrong == [] and page.open == []
-    for words in ("lag <b>&</b> delay", "<run> 1", "c[run 2]", "sigma_x", "(t − tau)", "idle", ph.__version__):
+    for words in ("lag <b>&</b> delay", "<run> 1", "c[run 2]", "σx", "(t − tau)", "idle", ph.__version__):
         assert words in page.text
     assert fit.warnings and all(w in page.text for w in fit.warnings)
     assert page.text.count("nan") == 0

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
+import pickle
 import re
 import subprocess
 import sys
@@ -19,7 +21,7 @@ import pictures
 import pytest
 
 import phugoid as ph
-from phugoid.notebook import MOST, Html, bullets, equation, notebook_page, paragraph, sparkline, table
+from phugoid.notebook import MOST, Html, bullets, equation, notebook_page, paragraph, sparkline, symbol, table
 from phugoid.parameters import Estimate, Estimates
 
 EVIL = "<script>alert('1')</script> & more"
@@ -31,11 +33,19 @@ def parsed(html: str) -> Any:
 
 
 def texts(html: str) -> str:
-    return " ".join("".join(parsed(html).itertext()).split())
+    """The text, and the names of typeset symbols."""
+    names = [symbol.get("title") for symbol in parsed(html).iterfind(".//span[@title]")]
+    return " ".join(" ".join(["".join(parsed(html).itertext()), *names]).split())
 
 
 def rows(html: str) -> list[list[str]]:
-    return [["".join(cell.itertext()) for cell in row] for row in parsed(html).iter("tr")]
+    """The texts of the cells; of a typeset symbol its name."""
+    return [[named(cell) or "".join(cell.itertext()) for cell in row] for row in parsed(html).iter("tr")]
+
+
+def named(cell: Any) -> str | None:
+    symbol = cell.find("span[@title]")
+    return None if symbol is None else symbol.get("title")
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +79,23 @@ def test_tables_of_a_fit(fit: ph.Fit) -> None:
     assert f"{len(correlation.pairs())} pair" in texts(correlation._repr_html_())
 
 
+def test_names_of_parameters_are_typeset_in_tables(fit: ph.Fit) -> None:
+    typeset = "<span title='Mtheta'>M<sub>θ</sub></span>"
+    profile = fit.profile("Mtheta")["Mtheta"]
+    for shown in (fit, fit.parameters, fit.robust(), fit.model, profile):
+        assert typeset in shown._repr_html_()
+    assert "Mtheta" in str(fit.parameters) and "<" not in str(fit.parameters)
+    for name, markup in {
+        "Cma": "C<sub>mα</sub>",
+        "sigma_az": "σ<sub>az</sub>",
+        "Nbeta[run 1]": "N<sub>β</sub>[run 1]",
+    }.items():
+        assert symbol(name) == f"<span title='{name}'>{markup}</span>"
+    for name in ("mass", "q", "a_b_c_d", "_x", "x_", "y z"):
+        assert symbol(name) == name
+    assert symbol(EVIL) == bullets([EVIL])[bullets([EVIL]).index("&lt;") : bullets([EVIL]).index("</li>")]
+
+
 def test_an_experiment_shows_its_channels(fit: ph.Fit) -> None:
     t = np.arange(0, 10, 0.1)
     q = np.sin(t)
@@ -96,6 +123,22 @@ def test_a_diagnosis_and_what_it_found(diagnosis: ph.results.Diagnosis) -> None:
     assert "-95 %" in texts(extension.gain._repr_html_())
 
 
+def test_iterations_and_findings_are_sequences_shown_as_tables(fit: ph.Fit, diagnosis: ph.results.Diagnosis) -> None:
+    history = fit.history
+    shown = rows(history._repr_html_())
+    assert [row[0] for row in shown[1:]] == [str(i.number) for i in history]
+    assert history == list(history) and history[:2] == list(history)[:2] and history[-1].number == len(history) - 1
+    assert ph.estimate(fit.model, fit.experiments[0]).history[-1] == history[-1]
+    findings = diagnosis.findings
+    assert [row[0] for row in rows(findings._repr_html_())[1:]] == [f.cause for f in findings]
+    assert findings == tuple(findings) and findings[:1] == tuple(findings)[:1] and isinstance(findings, tuple)
+    for each in (history, findings):
+        again = pickle.loads(pickle.dumps(each))
+        assert type(again) is type(each) and again._repr_html_() == each._repr_html_()
+    nothing = dataclasses.replace(diagnosis, findings=())
+    assert nothing.findings == () and "0 findings" in texts(nothing.findings._repr_html_())
+
+
 def test_candidates_are_cut_short(fit: ph.Fit) -> None:
     library = ph.candidates(fit.model)
     html = library._repr_html_()
@@ -112,6 +155,25 @@ def test_a_model_shows_its_equations() -> None:
     m.dynamics(**{f"x{i}": sum(x, 0 * x[0]) for i in range(60)})
     m.outputs(y=x[0])
     assert m._repr_latex_() is None
+
+
+def test_dead_bands_and_saturations_are_readable_in_latex() -> None:
+    m = ph.Model("servo")
+    (x,) = m.states("x")
+    (u,) = m.inputs("u")
+    b, c, s = m.parameters("b c s")
+
+    def limited(e: ph.Expr) -> ph.Expr:
+        return 0.5 * (ph.smooth_abs(e + s, 3e-3) - ph.smooth_abs(e - s, 3e-3))
+
+    m.dynamics(x=b * (u - limited(u)) + c * (x + (-limited(x))) + (u + limited(u) - u))
+    m.outputs(x=limited(x))
+    latex = m._repr_latex_()
+    assert latex is not None and "sqrt" not in latex
+    clip = r"\operatorname{clip}\left(%s, \pm s\right)"
+    assert rf"b \, \left(u - {clip % 'u'}\right) + c \, \left(x - {clip % 'x'}\right) + {clip % 'u'} \\" in latex
+    assert rf"\tilde{{x}} &= {clip % 'x'}" in latex
+    assert "b*(u - clip(u, ±s)) + c*(x - clip(x, ±s)) + clip(u, ±s)" in str(m)
 
 
 def planned(fit: ph.Fit) -> ph.results.Plan:

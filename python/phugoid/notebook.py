@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._core import Expr
+from ._core import Expr, symbol_parts
 
 __all__ = [
     "Html",
@@ -27,7 +27,9 @@ __all__ = [
     "overview",
     "paragraph",
     "readable",
+    "readable_latex",
     "sparkline",
+    "symbol",
     "table",
 ]
 
@@ -88,7 +90,8 @@ def bullets(texts: Iterable[str]) -> Html:
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[_Cell]], align: str) -> Html:
-    """Return a table; ``align`` holds l or r for each column. Columns without any text are left out.
+    """Return a table; ``align`` holds l or r for each column, s for one of the names of symbols. Columns without any
+    text are left out.
 
     >>> table(["name", "value"], [["a<b", "1"]], "lr").count("<td")
     2
@@ -98,8 +101,9 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[_Cell]], align: str) -> 
         return Html("")
     side = {j: f"style='{_CELL};text-align:{'right' if align[j] == 'r' else 'left'}'" for j in kept}
     head = "".join(f"<th {side[j]}>{_escaped(heads[j])}</th>" for j in kept)
+    write = {j: symbol if align[j] == "s" else _escaped for j in kept}
     body = "".join(
-        "<tr>" + "".join(f"<td {side[j]}>{_escaped(row[j])}</td>" for j in kept) + "</tr>" for row in rows[:MOST]
+        "<tr>" + "".join(f"<td {side[j]}>{write[j](row[j])}</td>" for j in kept) + "</tr>" for row in rows[:MOST]
     )
     more = paragraph(f"and {len(rows) - MOST} more" if len(rows) > MOST else "")
     return Html(f"<table style='margin:.3em 0'><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}")
@@ -166,20 +170,19 @@ def _pieces(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[str]:
 
 _SUM, _PRODUCT, _POWER, _ATOM = 1, 2, 3, 4
 
-_GREEK = {
-    "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "zeta": "ζ", "eta": "η", "theta": "θ",
-    "kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "xi": "ξ", "pi": "π", "rho": "ρ", "sigma": "σ", "tau": "τ",
-    "phi": "φ", "chi": "χ", "psi": "ψ", "omega": "ω",
-}  # fmt: skip
-_VARIABLE = r"(0|[uvwpqrabV]|d[aerfst]|alpha|beta|theta)"
-_DERIVATIVE = re.compile(rf"(C)([DLTXYZlmn]){_VARIABLE}?|([LMNXYZ]){_VARIABLE}")
-# So many underscores and more in an index, and a name is written as it is.
+# A name with more underscores is written as it is.
 _INDICES = 2
 _RELATIONS = {"lt": "&lt;", "le": "≤", "gt": "&gt;", "ge": "≥", "eq": "=", "ne": "≠"}
 # Smooth forms of a saturation, u limited to ±s, and of a dead-band, u less that.
 _CLIP = re.compile(
     r"0\.5\*\(sqrt\(\((\w+) \+ (\w+)\)\*\(\1 \+ \2\) \+ [\d.e+-]+\) - sqrt\(\(\1 - \2\)\*\(\1 - \2\) \+ [\d.e+-]+\)\)"
 )
+# The same in LaTeX.
+_LATEX_CLIP = re.compile(
+    r"0\.5 \\, \\left\(\\sqrt\{\\left\(([^()]+?) \+ ([^()]+?)\\right\) \\, \\left\(\1 \+ \2\\right\) \+ [^()]+?\} - "
+    r"\\sqrt\{\\left\(\1 - \2\\right\) \\, \\left\(\1 - \2\\right\) \+ [\d.]+(?: \\cdot 10\^\{-?\d+\})?\}\\right\)"
+)
+_LATEX_CLIPPED = r"\\operatorname\{clip\}\\left\([^()]+, \\pm [^()]+\\right\)"
 _LIMITED = re.compile(r"(\w+ - )?clip\((\w+), ±(\w+)\)")
 # Other fonts have no place for subscripts, and browsers do not choose one of these by themselves.
 _FONTS = "Latin Modern Math, STIX Two Math, Cambria Math, DejaVu Math TeX Gyre, math"
@@ -199,6 +202,21 @@ def readable(text: str) -> str:
     text = re.sub(r"(\w+) \+ \(-\((clip\(\1, ±\w+\))\)\)", r"\1 - \2", text)
     text = re.sub(r"(\w+) \+ (clip\(\1, ±\w+\)) - \1(?!\w)", r"\2", text)
     return re.sub(r"(?<!\w)\((clip\(\w+, ±\w+\))\)", r"\1", text)  # parentheses that what went had needed
+
+
+def readable_latex(text: str) -> str:
+    r"""Return LaTeX of an expression with smooth saturations and dead-bands as what they are; see `readable`.
+
+    >>> u, s = Expr.symbol("u"), Expr.symbol("s")
+    >>> e = u - 0.5 * (((u + s) * (u + s) + 9e-6).sqrt() - ((u - s) * (u - s) + 9e-6).sqrt())
+    >>> print(readable_latex(e.latex()))
+    u - \operatorname{clip}\left(u, \pm s\right)
+    """
+    text = _LATEX_CLIP.sub(r"\\operatorname{clip}\\left(\1, \\pm \2\\right)", text)
+    text = re.sub(rf"\+ \\left\(-\\left\(({_LATEX_CLIPPED})\\right\)\\right\)", r"- \1", text)
+    u = r"(?<![\w}])([^()]{1,99}?)"
+    text = re.sub(rf"{u} \+ (\\operatorname\{{clip\}}\\left\(\1, \\pm [^()]+\\right\)) - \1(?![\w_])", r"\2", text)
+    return re.sub(rf"\\left\(({_LATEX_CLIPPED})\\right\)", r"\1", text)
 
 
 def equation(left: str, right: Expr, new: Collection[str] = (), *, rate: bool = False, cut: int | None = None) -> Html:
@@ -299,25 +317,35 @@ def _fenced(part: tuple[str, int], least: int, always: bool = False) -> str:
     return f"<mrow><mo>(</mo>{text}<mo>)</mo></mrow>" if always or tightness < least else text
 
 
+def symbol(name: str) -> Html:
+    """Return the name of a symbol typeset, and the name itself where a pointer rests: of `Cma` C with the index mα.
+
+    >>> symbol("Cma")
+    "<span title='Cma'>C<sub>mα</sub></span>"
+    >>> symbol("mass")
+    'mass'
+    """
+    base, bracket, experiment = name.partition("[")  # a local parameter has the name of its experiment
+    head, index = _parts(base)
+    shown = escape(head) + (f"<sub>{escape(index)}</sub>" if index else "") + escape(bracket + experiment)
+    return Html(shown if shown == escape(name) else f"<span title='{escape(name)}'>{shown}</span>")
+
+
+def _parts(name: str) -> tuple[str, str]:
+    """Return the head of a symbol and its index, "" for none; a name that is no symbol is all head."""
+    head, *indices = symbol_parts(name)
+    # Neither is a name such as q_dot_q_abs_q a symbol with indices, nor a text.
+    if len(indices) > _INDICES or not all((head, *indices)) or not name.isidentifier():
+        return name, ""
+    return head, ",".join(indices)
+
+
 def _symbol(name: str, new: Collection[str]) -> str:
-    shown, derivative = name, _DERIVATIVE.fullmatch(name)
-    if derivative:  # Cma is C_mα, Mde is M_δe
-        shown = f"{derivative[1] or derivative[4]}_{derivative[2] or ''}{_about(derivative[3] or derivative[5] or '')}"
-    head, _, index = shown.partition("_")
-    if index.count("_") >= _INDICES:  # a name such as q_dot_q_abs_q is no symbol with indices
-        head, index = "", ""
-    text = f"<mi>{escape(_GREEK.get(head, head))}</mi>" if head else f"<mi>{escape(name)}</mi>"
-    if head and index:
-        below = ",".join(_GREEK.get(part, part) for part in index.split("_"))
-        text = f"<msub>{text}<mtext>{escape(below)}</mtext></msub>"
+    head, index = _parts(name)
+    text = f"<mi>{escape(head)}</mi>"
+    if index:
+        text = f"<msub>{text}<mtext>{escape(index)}</mtext></msub>"
     return f"<mrow class='new'>{text}</mrow>" if name in new else text
-
-
-def _about(variable: str) -> str:
-    """Return the variable of a stability or control derivative as a symbol: a is α, de is δe."""
-    if variable[:1] == "d":
-        return f"δ{variable[1:]}"
-    return {"a": "α", "b": "β"}.get(variable, _GREEK.get(variable, variable))
 
 
 def _constant(value: float) -> tuple[str, int]:

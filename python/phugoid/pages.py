@@ -23,6 +23,7 @@ from .data.experiment import Experiment
 from .data.filtering import kind_of
 from .errors import DataError
 from .figures import NARROW, WIDTH, labelled
+from .notebook import symbol
 from .records import Record
 from .time_unit import time_unit_of
 
@@ -52,12 +53,14 @@ def render(template: str, **names: Any) -> str:
     pages = Environment(
         loader=templates, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    pages.filters["symbol"] = symbol
     return pages.get_template(template).render(**names)
 
 
 @dataclass(frozen=True)
 class PageTable:
-    """A table of texts; ``align`` holds l or r for each column, t for one of sentences."""
+    """A table of texts; ``align`` holds l or r for each column, s for one of the names of symbols, t for one of
+    sentences."""
 
     heads: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -67,7 +70,7 @@ class PageTable:
     def columns(self) -> list[tuple[int, str, str]]:
         """Number, class and head of each column that is shown: columns without any text are left out."""
         kept = [j for j in range(len(self.heads)) if not self.rows or any(row[j] for row in self.rows)]
-        return [(j, "" if self.align[j] == "l" else self.align[j], self.heads[j]) for j in kept]
+        return [(j, self.align[j], self.heads[j]) for j in kept]
 
 
 @dataclass(frozen=True)

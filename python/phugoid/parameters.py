@@ -287,7 +287,7 @@ def estimates_html(estimates: Iterable[Estimate], coloured: Mapping[str, Estimat
     return table(["parameter", *_HEADS], _estimates_rows(estimates, coloured), _ALIGN)
 
 
-_HEADS, _ALIGN = ("estimate", "std error", "in %", "corrected", "unit", "remark"), "lrrrrll"
+_HEADS, _ALIGN = ("estimate", "std error", "in %", "corrected", "unit", "remark"), "srrrrll"
 
 
 def _estimates_rows(estimates: Iterable[Estimate], coloured: Mapping[str, Estimate] | None) -> list[list[str]]:
@@ -309,7 +309,7 @@ def facts_text(title: str, facts: Mapping[str, str]) -> str:
 
 
 def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str) -> str:
-    """Return plain text with aligned columns under a rule; ``align`` holds ``l`` or ``r`` for each column.
+    """Return plain text with aligned columns under a rule; ``align`` holds r for each column of numbers, else l or s.
 
     A column that is empty in every row is left out.
     """
@@ -318,7 +318,7 @@ def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str)
     widths = {j: max(len(row[j]) for row in [header, *body]) for j in kept}
 
     def line(cells: Sequence[str]) -> str:
-        padded = (cells[j].ljust(widths[j]) if align[j] == "l" else cells[j].rjust(widths[j]) for j in kept)
+        padded = (cells[j].rjust(widths[j]) if align[j] == "r" else cells[j].ljust(widths[j]) for j in kept)
         return "  ".join(padded).rstrip()
 
     rule = "  ".join("-" * widths[j] for j in kept)

@@ -256,7 +256,7 @@ class Reconstruction:
             error = coloured[n].std_error if n in coloured else np.nan
             text, _, shown = plus_minus(e.value, error if np.isfinite(error) else e.std_error).partition(" ± ")
             rows.append([n, text, f"{e.std_error:.2g}", shown if np.isfinite(error) else "", e.unit, e.remark])
-        return ["sensor error", "estimate", "std error", "corrected", "unit", "remark"], rows, "lrrrll"
+        return ["sensor error", "estimate", "std error", "corrected", "unit", "remark"], rows, "srrrll"
 
     def _match_rows(self) -> Rows:
         units, match = self.fit.model.units, []

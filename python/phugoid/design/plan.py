@@ -295,7 +295,7 @@ class Plan:
             error = "not determined" if np.isinf(e.std_error) else f"{e.std_error:.3g}" if e.std_error >= 0.0 else ""
             rows.append([e.name, f"{e.value:.6g}", error, f"{percent:.3g}" if np.isfinite(percent) else "", e.unit])
         rows = [[*row, e.remark] for row, e in zip(rows, self.parameters.values(), strict=True)]
-        return ["parameter", "assumed", "std error", "in %", "unit", "remark"], rows, "lrrrll"
+        return ["parameter", "assumed", "std error", "in %", "unit", "remark"], rows, "srrrll"
 
     def _range_rows(self) -> Rows:
         many = len(self.excursions) > 1
@@ -383,7 +383,7 @@ class Plans(Mapping[str, Plan]):
             rows.append([label, *(_number(100.0 * p.criteria[kind]) for p in plans)])
         rows.append(["limits kept", *("yes" if p.within_limits else "no" for p in plans)])
         header = ["std error in %", *(p.name for p in plans)]
-        return header, rows, "l" + "r" * len(plans)
+        return header, rows, "s" + "r" * len(plans)
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
         """Plot inputs and predicted outputs of all plans over time with their limits, and the predicted errors side by

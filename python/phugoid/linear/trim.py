@@ -76,7 +76,7 @@ class Trim(Mapping[str, float]):
             for name, value in group.items():
                 remark = "" if kind == "output" or name in self.found else "held"
                 rows.append([kind, name, f"{value:.6g}", self.units.get(name, ""), remark])
-        return ["", "name", "value", "unit", ""], rows, "llrll"
+        return ["", "name", "value", "unit", ""], rows, "lsrll"
 
 
 def trim(

@@ -287,7 +287,7 @@ class Multistart:
             others = [f"{o.parameters[name]:.5g}" for o in shown[1:]]
             text = f"{error:.2g}" if np.isfinite(error) else ""
             rows.append([name, f"{value:.5g}", text, *others, units.get(name.removeprefix("sigma_"), "")])
-        return header, rows, "lrr" + "r" * (len(shown) - 1) + "l"
+        return header, rows, "srr" + "r" * (len(shown) - 1) + "l"
 
     def _judgement(self) -> list[str]:
         """Return what follows of the optima, in sentences."""

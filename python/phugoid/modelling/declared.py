@@ -21,7 +21,7 @@ import phugoid._core as _core
 
 from .._core import Expr
 from ..errors import ModelError, listing, some
-from ..notebook import equation, overview, readable
+from ..notebook import equation, overview, readable, readable_latex
 from ..parameters import Parameter
 from ..time_unit import SECONDS
 
@@ -436,14 +436,14 @@ def model_html(
         remark = "fixed" if p.fixed else f"{p.bounds[0]:g} to {p.bounds[1]:g}" if limited else ""
         rows.append([symbol, "parameter", p.unit, f"{p.start:.6g}", remark])
     heads = ["symbol", "", "unit", "start", "bounds"]
-    return overview(core.name, (["", "equation"], lines, "ll"), (heads, rows, "lllrl"), note=note)
+    return overview(core.name, (["", "equation"], lines, "ll"), (heads, rows, "sllrl"), note=note)
 
 
 def model_latex(core: _core.Model, conditions: Sequence[str]) -> str:
     """Return the equations of a model, and its measured conditions, as a LaTeX ``aligned`` block."""
-    lines = [f"{Expr.symbol(n).latex()} &= {e.latex()}" for n, e, *_ in core.quantities]
-    lines += [rf"\dot{{{Expr.symbol(n).latex()}}} &= {e.latex()}" for n, e, *_ in core.dynamics]
-    lines += [rf"\tilde{{{Expr.symbol(n).latex()}}} &= {e.latex()}" for n, e, *_ in core.outputs]
+    lines = [f"{Expr.symbol(n).latex()} &= {readable_latex(e.latex())}" for n, e, *_ in core.quantities]
+    lines += [rf"\dot{{{Expr.symbol(n).latex()}}} &= {readable_latex(e.latex())}" for n, e, *_ in core.dynamics]
+    lines += [rf"\tilde{{{Expr.symbol(n).latex()}}} &= {readable_latex(e.latex())}" for n, e, *_ in core.outputs]
     if conditions:
         symbols = ",\\ ".join(Expr.symbol(n).latex() for n in conditions)
         lines.append(rf"\text{{conditions: }} & {symbols}")

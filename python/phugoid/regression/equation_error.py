@@ -123,7 +123,7 @@ class EquationError:
             text_table(_HEADS, rows, _ALIGN),
             *(s.summary() for s in once),
             estimates_table(self._shown().values()),
-            text_table(_ERRORS, lines, "lrr"),
+            text_table(_ERRORS, lines, "srr"),
             *(f"Warning: {w}" for w in self.warnings),
         ]
         return "\n\n".join(parts)
@@ -134,7 +134,7 @@ class EquationError:
             f"{self.model.name}: equation error",
             table(_HEADS, rows, _ALIGN),
             estimates_html(self._shown().values()),
-            table(_ERRORS, lines, "lrr"),
+            table(_ERRORS, lines, "srr"),
             *(Html(s._repr_html_()) for s in dict.fromkeys(self.selection.values())),
             bullets(self.warnings),
         )

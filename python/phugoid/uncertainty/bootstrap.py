@@ -142,7 +142,7 @@ class Bootstrap:
                 [e.name, f"{e.value:.5g}", plain, f"{self.std_errors[e.name]:.2g}", f"{low:.5g}", f"{high:.5g}", e.unit]
             )
         heads = ["parameter", "estimate", "Cramér-Rao", "bootstrap", f"{100 * level:g} % from", "to", "unit"]
-        return heads, rows, "lrrrrrl"
+        return heads, rows, "srrrrrl"
 
     def to_arviz(self) -> Any:
         """Return the estimates of all runs as draws for the figures and tables of arviz, such as ``plot_forest``.

@@ -81,7 +81,7 @@ class CorrectedErrors:
         noise = [
             [n, f"{r[1] if r.size > 1 else 0.0:.2f}", f"{self.times[n]:.3g}"] for n, r in self.autocorrelation.items()
         ]
-        return (heads, rows, "lrrrrll"), (["noise of", "lag-1", self.time_unit.axis("correlation time")], noise, "lrr")
+        return (heads, rows, "srrrrll"), (["noise of", "lag-1", self.time_unit.axis("correlation time")], noise, "lrr")
 
     def __str__(self) -> str:
         return self.summary()

@@ -109,7 +109,7 @@ class Correlation:
         pairs = [[a, b, f"{rho:+.3f}"] for a, b, rho in self.pairs()]
         note = f"{counted(len(self.names), 'parameter')}, {counted(len(pairs), 'pair')} above {_STRONG:g}"
         weak = bullets(f"Weakly identified: {w}." for w in self.weak)
-        return notebook_page("Correlation", table(["", "", "correlation"], pairs, "llr"), weak, note=note)
+        return notebook_page("Correlation", table(["", "", "correlation"], pairs, "ssr"), weak, note=note)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> _Array:
         return np.array(self.matrix, dtype=dtype)

@@ -46,7 +46,7 @@ _SAID: Mapping[str, str] = {
 }
 
 
-_ALIGN = "lrrrrrll"
+_ALIGN = "srrrrrll"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -159,7 +159,7 @@ pub mod internals {
     #[cfg(feature = "serde")]
     open! { pool: expr::pool, }
     open! {
-        dense: dense, diagnosis: diagnosis, error: error, evaluator: evaluator,
+        dense: dense, diagnosis: diagnosis, display: expr::display, error: error, evaluator: evaluator,
         gaps: gaps, graph: expr::graph, initial: initial, integrate: integrate, interpolate: interpolate, lgl: lgl,
         math: math, mesh: mesh, operations: expr::ops, problem: problem, tape: tape,
     }

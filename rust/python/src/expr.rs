@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use phugoid::Table;
 use phugoid::expr::{self, Expr, Lookup, Op};
+use phugoid::internals::display;
 use phugoid::internals::operations::TABLE;
 use phugoid::internals::pool::Pool;
 use pyo3::basic::CompareOp;
@@ -394,6 +395,12 @@ pub fn apply(name: &str, args: Vec<Operand>) -> PyResult<PyExpr> {
 #[allow(clippy::type_complexity)] // one row of the table
 pub fn operations() -> Vec<(&'static str, usize, Vec<(f64, f64)>)> {
     TABLE.iter().map(|e| (e.name, e.arity, e.domain.to_vec())).collect()
+}
+
+/// Head and indices of the symbol of a name, in Unicode: `["C", "mα"]` of `Cma`.
+#[pyfunction]
+pub fn symbol_parts(name: &str) -> Vec<String> {
+    display::symbol_parts(name)
 }
 
 /// Reads an expression saved by `Expr.to_json`.

@@ -57,6 +57,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(response::tangents, m)?)?;
     m.add_function(wrap_pyfunction!(expr::apply, m)?)?;
     m.add_function(wrap_pyfunction!(expr::operations, m)?)?;
+    m.add_function(wrap_pyfunction!(expr::symbol_parts, m)?)?;
     m.add_function(wrap_pyfunction!(expr::load_expression, m)?)?;
     m.add_function(wrap_pyfunction!(expr::interpolate, m)?)?;
     m.add_function(wrap_pyfunction!(problem::gaps, m)?)?;

@@ -427,8 +427,8 @@ def _equations(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[s
         "changed": changed,
         "late": [f"{n}(t) = {of}(t − {tau})" for n, (of, tau) in inputs]
         + [f"{n} is measured with the delay {tau}" for n, tau in outputs],
-        "parameters": PageTable(["parameter", "before", "after", "unit", ""], rows, "lrrll"),
-        "added": PageTable(["new parameter", "estimate ± std error", "unit", ""], added, "lrll"),
+        "parameters": PageTable(["parameter", "before", "after", "unit", ""], rows, "srrll"),
+        "added": PageTable(["new parameter", "estimate ± std error", "unit", ""], added, "srll"),
     }
 
 

@@ -319,9 +319,31 @@ impl Printer<'_> {
     }
 }
 
-const GREEK: &[&str] = &[
-    "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu",
-    "nu", "xi", "pi", "rho", "sigma", "tau", "upsilon", "phi", "chi", "psi", "omega",
+/// Greek letters by their names.
+const GREEK: &[(&str, char)] = &[
+    ("alpha", 'α'),
+    ("beta", 'β'),
+    ("gamma", 'γ'),
+    ("delta", 'δ'),
+    ("epsilon", 'ε'),
+    ("zeta", 'ζ'),
+    ("eta", 'η'),
+    ("theta", 'θ'),
+    ("iota", 'ι'),
+    ("kappa", 'κ'),
+    ("lambda", 'λ'),
+    ("mu", 'μ'),
+    ("nu", 'ν'),
+    ("xi", 'ξ'),
+    ("pi", 'π'),
+    ("rho", 'ρ'),
+    ("sigma", 'σ'),
+    ("tau", 'τ'),
+    ("upsilon", 'υ'),
+    ("phi", 'φ'),
+    ("chi", 'χ'),
+    ("psi", 'ψ'),
+    ("omega", 'ω'),
 ];
 
 /// Lists what forces, moments and their coefficients are differentiated with respect to.
@@ -343,10 +365,38 @@ fn latex_symbol(name: &str) -> String {
     if tail.is_empty() { head } else { format!("{head}_{{{}}}", latex_symbol(tail)) }
 }
 
+/// The symbol of a name in Unicode, for other markup: its head and the index after each `_`, `["C", "mα"]` of `Cma`.
+pub fn symbol_parts(name: &str) -> Vec<String> {
+    if let Some(Derivative { head, axis, about }) = derivative(name) {
+        let index = format!("{axis}{}", unicode_variable(about));
+        return [head.to_owned(), index].into();
+    }
+    let word = |word: &str| match (greek_letter(word), derivative(word)) {
+        (Some(letter), _) => letter.to_string(),
+        (None, Some(Derivative { head, axis, about })) => format!("{head}{axis}{}", unicode_variable(about)),
+        (None, None) => word.to_owned(),
+    };
+    let mut words = name.split('_');
+    let head = words.next().unwrap_or(name);
+    let head = greek_letter(head).map_or_else(|| head.to_owned(), String::from);
+    [head].into_iter().chain(words.map(word)).collect()
+}
+
+/// The Greek letter of a name: `delta` is a small one, `Delta` a capital.
+fn greek_letter(name: &str) -> Option<char> {
+    GREEK.iter().find_map(|&(small, letter)| {
+        let capital =
+            || name.len() == small.len() && name[1..] == small[1..] && name.eq_ignore_ascii_case(small);
+        match name == small {
+            true => Some(letter),
+            false if name.is_ascii() && capital() => letter.to_uppercase().next(),
+            false => None,
+        }
+    })
+}
+
 fn greek(name: &str) -> Option<String> {
-    let lower = name.to_lowercase();
-    let is = GREEK.contains(&name) || (GREEK.contains(&lower.as_str()) && name[1..] == lower[1..]);
-    is.then(|| format!("\\{name}"))
+    greek_letter(name).map(|_| format!("\\{name}"))
 }
 
 /// Holds the parts of the name of a stability or control derivative. A force or moment that is no coefficient has no axis; a
@@ -370,15 +420,30 @@ fn derivative(name: &str) -> Option<Derivative<'_>> {
     known.then_some(Derivative { head, axis, about })
 }
 
-fn latex_variable(name: &str) -> String {
+/// The variable of a derivative: the name of a Greek letter, or "", and what follows it. `a` is alpha, `de` is delta e.
+fn variable(name: &str) -> (&str, &str) {
     match name {
-        "a" => "\\alpha".to_owned(),
-        "b" => "\\beta".to_owned(),
+        "a" => ("alpha", ""),
+        "b" => ("beta", ""),
+        _ if greek_letter(name).is_some() => (name, ""),
         _ => match name.strip_prefix('d').filter(|rest| !rest.is_empty()) {
-            Some(rest) => format!("\\delta {rest}"),
-            None => greek(name).unwrap_or_else(|| name.to_owned()),
+            Some(rest) => ("delta", rest),
+            None => ("", name),
         },
     }
+}
+
+fn latex_variable(name: &str) -> String {
+    match variable(name) {
+        ("", rest) => rest.to_owned(),
+        (letter, "") => format!("\\{letter}"),
+        (letter, rest) => format!("\\{letter} {rest}"),
+    }
+}
+
+fn unicode_variable(name: &str) -> String {
+    let (letter, rest) = variable(name);
+    greek_letter(letter).map(String::from).unwrap_or_default() + rest
 }
 
 /// The shortest text that reads back as the number.

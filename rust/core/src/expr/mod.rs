@@ -5,7 +5,7 @@
 //! derivatives are taken too ([`derive`](mod@derive)).
 
 pub(crate) mod derive;
-mod display;
+pub(crate) mod display;
 pub(crate) mod graph;
 mod operators;
 pub(crate) mod ops;

@@ -2,6 +2,7 @@
 
 use crate::common::{close, parse, values};
 use phugoid::expr::{Expr, Op, lt, select};
+use phugoid::internals::display::symbol_parts;
 use phugoid::internals::operations::TABLE;
 
 fn symbols() -> [Expr; 3] {
@@ -122,6 +123,25 @@ fn chosen_cases_print_in_latex() {
     ];
     for (expr, text) in cases {
         assert_eq!(expr.latex(), text);
+    }
+}
+
+#[test]
+fn symbols_have_a_head_and_indices() {
+    let cases: [(&str, &[&str]); 10] = [
+        ("Cma", &["C", "mα"]),
+        ("CL", &["C", "L"]),
+        ("Mde", &["M", "δe"]),
+        ("Nbeta", &["N", "β"]),
+        ("sigma_alpha", &["σ", "α"]),
+        ("sigma_CL", &["σ", "CL"]),
+        ("CL_alpha", &["CL", "α"]),
+        ("Delta", &["Δ"]),
+        ("q_dot_0", &["q", "dot", "0"]),
+        ("mass", &["mass"]),
+    ];
+    for (name, parts) in cases {
+        assert_eq!(symbol_parts(name), parts);
     }
 }
 

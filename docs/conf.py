@@ -23,7 +23,6 @@ release = version = phugoid.__version__
 extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.viewcode",
-    "matplotlib.sphinxext.plot_directive",
     "sphinx_gallery.gen_gallery",
     "myst_parser",
     "sphinx_copybutton",
@@ -56,10 +55,6 @@ python_maximum_signature_line_length = 90
 add_module_names = False
 html_math_renderer = "mathml"
 math_eqref_format = "({number})"
-
-plot_html_show_source_link = False
-plot_html_show_formats = False
-plot_formats = [("png", 160)]
 
 sphinx_gallery_conf = {
     "examples_dirs": "gallery",

@@ -273,6 +273,12 @@ def test_docstrings_become_restructured_text(monkeypatch: pytest.MonkeyPatch) ->
     assert made("One sentence.  Another one\nthat goes on.") == "One sentence.  Another one\nthat goes on."
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+def test_pages_can_be_read_where_sphinx_does_not_build_them(page: Path) -> None:
+    """GitHub shows directives of reStructuredText as they are written."""
+    assert "{eval-rst}" not in page.read_text(encoding="utf-8")
+
+
 def test_commands_and_files_that_pages_name_exist() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     targets = {*re.findall(r"^([a-z-]+):", makefile, re.M)}
@@ -365,6 +371,6 @@ def test_pages_build_without_a_warning(tmp_path: Path) -> None:
     done = subprocess.run([*command, str(source), str(tmp_path / "html")], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     start = (tmp_path / "html" / "start.html").read_text(encoding="utf-8")
-    assert "_images/start-1.png" in start
+    assert "_images/fit.png" in start
     method = (tmp_path / "html" / "method.html").read_text(encoding="utf-8")
     assert method.count("<math") > 80 and "https://cdn" not in method

@@ -21,6 +21,7 @@ import pictures
 import pytest
 
 import phugoid as ph
+from phugoid.fit_result import SmoothingStep
 from phugoid.notebook import MOST, Html, bullets, equation, notebook_page, paragraph, sparkline, symbol, table
 from phugoid.parameters import Estimate, Estimates
 
@@ -284,6 +285,21 @@ def test_a_result_shows_its_names_and_numbers(kind: str, fit: ph.Fit) -> None:
     shown, text = rows(html), texts(html)  # well-formed, or else an error
     assert [word for word in words(result) if " ".join(word.split()) not in text] == []
     assert html.count("<svg") == drawn and len(html) < 40_000 and 2 <= len(shown) <= 2 * (MOST + 1)
+
+
+def test_passes_of_an_estimation_are_shown_as_tables(fit: ph.Fit) -> None:
+    refined = ph.estimate(fit.model, fit.experiments[0], transcription=ph.Collocation(refine=True)).refinement
+    assert refined is not None
+    html = refined._repr_html_()
+    assert "tolerance" in texts(html) and str(refined.steps[-1].segments) in [row[1] for row in rows(html)]
+    smoothed = ph.results.Smoothing(
+        {"sign(q) in q'": (0.01, "rad/s")},
+        (SmoothingStep(0.1, 40, 5, 12.5),),
+        {"Mq": (0.002, 0.05)},
+    )
+    assert "over 0.01 rad/s" in texts(smoothed._repr_html_()) and ["Mq", "+0.002"] in [
+        row[:2] for row in rows(smoothed._repr_html_())
+    ]
 
 
 def test_a_large_model_is_cut_short() -> None:

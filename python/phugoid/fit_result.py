@@ -19,6 +19,7 @@ from .filter_error import FilterError
 from .modelling.densities import PerExperiment
 from .modelling.model import Model
 from .modelling.noise import Noise
+from .notebook import Rows, overview
 from .parameters import Estimates, text_table
 from .records import Record, only
 from .solvers import History, Iteration, Solution
@@ -257,6 +258,17 @@ class Refinement:
 
     def summary(self) -> str:
         """Return passes and changes as plain-text tables."""
+        return "\n\n".join([self._outcome(), *(text_table(*rows) for rows in self._tables())])
+
+    def _repr_html_(self) -> str:
+        return overview(self._outcome(), *self._tables())
+
+    def _outcome(self) -> str:
+        outcome = "met" if self.met else "not met"
+        return f"mesh refinement: tolerance {self.tolerance:g} of the noise {outcome}"
+
+    def _tables(self) -> list[Rows]:
+        """Return heads, rows and alignment: of the passes, and of the changes where there was more than one."""
         rows = [
             [
                 str(s.order),
@@ -268,20 +280,15 @@ class Refinement:
             ]
             for s in self.steps
         ]
-        header = ["order", "segments", "largest error", "too coarse", "iterations", "log-likelihood"]
-        outcome = "met" if self.met else "not met"
-        parts = [
-            f"mesh refinement: tolerance {self.tolerance:g} of the noise {outcome}",
-            text_table(header, rows, "rrrrrr"),
-        ]
+        heads = ["order", "segments", "largest error", "too coarse", "iterations", "log-likelihood"]
+        tables: list[Rows] = [(heads, rows, "rrrrrr")]
         if len(self.steps) > 1:
             moved = [
                 [name, f"{first:.6g}", f"{last:.6g}", *(_signed(c) for c in self.change(name))]
                 for name, (first, last, _) in self.changes.items()
             ]
-            header = ["parameter", "first mesh", "last mesh", "change, %", "in std errors"]
-            parts.append(text_table(header, moved, "lrrrr"))
-        return "\n\n".join(parts)
+            tables.append((["parameter", "first mesh", "last mesh", "change, %", "in std errors"], moved, "srrrr"))
+        return tables
 
     def to_dict(self) -> dict[str, Any]:
         """Return the refinement as JSON takes it."""
@@ -344,18 +351,20 @@ class Smoothing:
 
     def summary(self) -> str:
         """Return passes and the remaining error as plain-text tables."""
+        return "\n\n".join([f"kinks smoothed: {self.description}", *(text_table(*rows) for rows in self._tables())])
+
+    def _repr_html_(self) -> str:
+        return overview(f"kinks smoothed: {self.description}", *self._tables())
+
+    def _tables(self) -> tuple[Rows, Rows]:
+        """Return heads, rows and alignment of both tables."""
         rows = [[f"{s.part:.1e}", str(s.segments), str(s.iterations), f"{s.log_likelihood:.3f}"] for s in self.steps]
         left = [
             [name, f"{change:+.2g}" if math.isfinite(change) else "", _part(change, error)]
             for name, (change, error) in self.left.items()
         ]
-        return "\n\n".join(
-            [
-                f"kinks smoothed: {self.description}",
-                text_table(["width/spread", "segments", "iterations", "log-likelihood"], rows, "rrrr"),
-                text_table(["parameter", "left by smoothing", "in std errors"], left, "lrr"),
-            ]
-        )
+        passes = ["width/spread", "segments", "iterations", "log-likelihood"]
+        return (passes, rows, "rrrr"), (["parameter", "left by smoothing", "in std errors"], left, "srr")
 
     def to_dict(self) -> dict[str, Any]:
         """Return the smoothing as JSON takes it."""

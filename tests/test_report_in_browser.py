@@ -176,3 +176,15 @@ def test_print_divides_long_tables_alone(rows: int, tmp_path: Path) -> None:
     first, second = printed(page, tmp_path)
     assert "value" in second and f"row {rows - 1}" in second
     assert ("row 0" in first, "row 0" in second) == ((True, False) if rows == 25 else (False, True))
+
+
+def test_print_begins_an_article_where_its_text_has_room(tmp_path: Path) -> None:
+    """Its figure goes to the next page alone, so that the first is not left half empty."""
+    templates = jinja2.Environment(loader=jinja2.PackageLoader("phugoid", "templates"), autoescape=True)
+    text = "<!DOCTYPE html><style>{% include 'style.css' %}</style><p style='height: 12cm'>before</p>"
+    text += "<article><h3>A cause</h3><p>Estimated.</p>"
+    text += "<figure><div style='height: 12cm'></div><figcaption>Drawn</figcaption></figure></article>"
+    page = tmp_path / "article.html"
+    page.write_text(templates.from_string(text).render(), encoding="utf-8")
+    first, second = printed(page, tmp_path)
+    assert "A cause" in first and "Estimated." in first and "Drawn" in second

@@ -40,6 +40,7 @@ __all__ = [
     "rate_limited",
     "simulate",
     "state_start",
+    "symbol_parts",
     "tangents",
     "unlike_noise",
 ]

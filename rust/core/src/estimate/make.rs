@@ -6,6 +6,7 @@ use super::judge::{
     NOT_FEASIBLE, confounded, feasible, few_samples, judge, large_defects, residuals_unlike_noise,
     total_defects,
 };
+use super::print::short;
 use crate::diagnosis::{NoInformation, information};
 use crate::experiment::Experiment;
 use crate::gaps::gap_warnings;
@@ -160,6 +161,7 @@ fn assessed(
             p.name, p.value
         ));
     }
+    warnings.extend(at_bounds(&parameters[..n_model], scalings).filter(|_| feasible));
     if let Some(total) = total.filter(|_| feasible) {
         warnings.extend(large_defects(model, problem, xi, &total));
     }
@@ -199,6 +201,46 @@ fn assessed(
         smoothing: None,
         moved: None,
     }
+}
+
+/// Returns a sentence that names all parameters of the model at a bound; of one that could leave it if a parameter that no output
+/// tells had been held elsewhere, that, too.
+fn at_bounds(parameters: &[Estimate], scalings: &[Scaling]) -> Option<String> {
+    let sides = parameters.iter().filter_map(|p| match p.bound? {
+        Bound::Lower => Some((p, "lower", p.bounds.0)),
+        Bound::Upper => Some((p, "upper", p.bounds.1)),
+        Bound::Fixed => None,
+    });
+    let found: Vec<_> = sides.collect();
+    let each: Vec<String> = found
+        .iter()
+        .enumerate()
+        .map(|(k, (p, side, bound))| {
+            let lies = if k == 0 { " lies" } else { "" };
+            format!("{}{lies} at its {side} bound {}", p.name, short(*bound, 4))
+        })
+        .collect();
+    let (no_error, optimum) = match each.len() {
+        0 => return None,
+        1 => ("it has no standard error", "it"),
+        _ => ("they have no standard errors", "them"),
+    };
+    let mut text = format!(
+        "{}: {no_error}, those of the others take {optimum} as known, and the optimum may be beyond",
+        each.join(", ")
+    );
+    let stem = |name: &str| name.split('[').next().unwrap_or(name).to_owned();
+    for (p, _, _) in &found {
+        let of = |s: &&Scaling| s.held != stem(&p.name) && s.exponents.iter().any(|e| e.0 == stem(&p.name));
+        if let Some(scaling) = scalings.iter().find(of) {
+            let at = short(scaling.at, 4);
+            text.push_str(&format!(
+                "; {} may be there only because {}, which no output tells, was held at {at}: start {1} elsewhere",
+                p.name, scaling.held
+            ));
+        }
+    }
+    Some(text)
 }
 
 /// Why there are no standard errors.

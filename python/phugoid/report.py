@@ -36,10 +36,10 @@ _OFFSET = 0.5  # part of the mean square that is an offset
 def remarks(fit: FitResult) -> list[str]:
     """Return the warnings of a `Fit`, and the reasons for doubt that its numbers give: one sentence each.
 
-    A coarse mesh, outputs that a constant would match better or that are all matched poorly, coloured residuals
+    A coarse mesh, parameters at a bound, outputs that a constant would match better or that are all matched poorly, coloured residuals
     (p < 0.01 in the test of Ljung and Box, lag-1 correlation beyond 0.3), residuals with an offset, parameters whose
     95 % interval includes zero, pairs of estimates with a correlation beyond 0.95, combinations that are hardly
-    determined, estimates at a bound.
+    determined.
     """
     weak = [f"Weakly identified: {direction}." for direction in correlation(fit).weak]
     warnings = [text if text.endswith((".", "!", "?")) else f"{text}." for text in fit.warnings]
@@ -83,11 +83,6 @@ def _of_estimates(fit: FitResult) -> list[str]:
     if weak:
         include = "interval of {} includes" if len(weak) == 1 else "intervals of {} include"
         found.append(f"The 95 % {include.format(_listed(weak))} zero: these data do not determine the sign.")
-    found += [
-        f"{e.name} lies at its {e.bounds_active} bound, and so has no standard error: the optimum may be beyond it."
-        for e in own
-        if e.bounds_active and not e.fixed
-    ]
     return found
 
 

@@ -36,10 +36,10 @@ _OFFSET = 0.5  # part of the mean square that is an offset
 def remarks(fit: FitResult) -> list[str]:
     """Return the warnings of a `Fit`, and the reasons for doubt that its numbers give: one sentence each.
 
-    A coarse mesh, parameters at a bound, outputs that a constant would match better or that are all matched poorly, coloured residuals
-    (p < 0.01 in the test of Ljung and Box, lag-1 correlation beyond 0.3), residuals with an offset, parameters whose
-    95 % interval includes zero, pairs of estimates with a correlation beyond 0.95, combinations that are hardly
-    determined.
+    A coarse mesh, parameters at a bound, outputs that a constant would match better or that are all matched poorly,
+    coloured residuals (p < 0.01 in the test of Ljung and Box, lag-1 correlation beyond 0.3), residuals with an offset,
+    parameters whose 95 % interval includes zero, pairs of estimates with a correlation beyond 0.95, combinations that
+    are hardly determined.
     """
     weak = [f"Weakly identified: {direction}." for direction in correlation(fit).weak]
     warnings = [text if text.endswith((".", "!", "?")) else f"{text}." for text in fit.warnings]

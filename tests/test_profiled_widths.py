@@ -8,7 +8,7 @@ import pytest
 from hidden import make
 
 import phugoid as ph
-from phugoid.discrepancy.search import Search, refit_cache
+from phugoid.discrepancy.search import Search, starts
 from phugoid.discrepancy.search.refit import Refit
 
 
@@ -24,13 +24,13 @@ def test_a_dead_band_is_found_where_the_estimation_goes_over_its_width() -> None
 
 def test_a_width_that_is_known_from_a_fit_nearby_is_not_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
     held: list[bool] = []
-    original = refit_cache.refit
+    original = starts.refit
 
     def watched(*args: Any, **options: Any) -> Refit | None:
         held.append(bool(options.get("held")))
         return original(*args, **options)
 
-    monkeypatch.setattr(refit_cache, "refit", watched)
+    monkeypatch.setattr(starts, "refit", watched)
     case = make("lateral", ("dr:deadband",), "strong", "white", 960046)
     base = Refit((), ph.estimate(case.model, case.data))
     search = Search(base, ph.candidates(case.model, points=base.linear.points))

@@ -153,7 +153,7 @@ class SurrogateSettings:
 
     most: float = 0.5
     sure: float = 0.8
-    persistent: float = 0.91
+    persistent: float = 0.94
     whole: float = 0.9
     deviation: float = 4.0
     margin: float = 8.0

@@ -19,8 +19,6 @@ pub(super) struct Merit {
     lowered: bool,
     /// How often it rose again.
     rises: u32,
-    /// Defects at the last update.
-    before: f64,
 }
 
 impl Merit {
@@ -28,8 +26,7 @@ impl Merit {
         self.nu.mul_add(point.defect, point.objective)
     }
 
-    /// Raises ν as far as the step needs to be a descent; lowers it slowly where it could be less, unless defects have grown
-    /// since: with a lower and lower ν each step would seem to help that trades them for likelihood.
+    /// Raises ν as far as the step needs to be a descent; lowers it slowly where it could be less.
     pub fn update(&mut self, promise: &Promise, defect: f64) {
         if defect <= 0.0 {
             return;
@@ -39,12 +36,11 @@ impl Merit {
             self.nu = 1.5 * least;
             self.rises += u32::from(self.lowered);
             self.lowered = false;
-        } else if self.rises < RISES && defect <= self.before {
+        } else if self.rises < RISES {
             let nu = (0.3 * self.nu).max(1.5 * least).max(0.0);
             self.lowered |= nu < self.nu;
             self.nu = nu;
         }
-        self.before = defect;
     }
 
     /// What a step must come to that begins at a point with this slope of φ; rounding may leave `floor` of it.

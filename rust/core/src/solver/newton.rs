@@ -15,12 +15,7 @@ use super::solution::Solution;
 use super::status::Status;
 use super::step::Step;
 use super::termination::{Ending, Sizes};
-use crate::linalg::Effort;
 use crate::nlp::NotFinite;
-
-/// Solutions are refined once an exact step promised less than this in log-likelihood: before, rounding is the least of what
-/// the step lacks, and refinement costs more than the factorisation.
-const REFINED: f64 = 1.0;
 
 /// A run of Newton's method. Everything that the loop keeps is allocated once.
 pub(crate) struct Newton<'a> {
@@ -107,12 +102,10 @@ impl<'a> Newton<'a> {
         let mut last_gain = f64::INFINITY;
         loop {
             // Evaluate, factorise, step.
-            let effort = Effort { refine: *exact && last_gain < REFINED, hurry: search.on_trust() };
-            let mut found = newton_step(program, iterate, system, step, sizes, *exact, effort);
+            let mut found = newton_step(program, iterate, system, step, sizes, (*exact, search.on_trust()));
             // Steps on trust may lead where nothing is finite any more.
             if found.is_err() && search.go_back(iterate) {
-                let effort = Effort { hurry: false, ..effort };
-                found = newton_step(program, iterate, system, step, sizes, *exact, effort);
+                found = newton_step(program, iterate, system, step, sizes, (*exact, false));
             }
             if let Ok((factored, promise)) = &mut found
                 && factored.is_damped()
@@ -125,8 +118,8 @@ impl<'a> Newton<'a> {
                         found
                     }
                     Ok(false) => {
-                        let effort = Effort { hurry: search.on_trust(), ..effort };
-                        newton_step(program, iterate, system, step, sizes, *exact, effort)
+                        let effort = (*exact, search.on_trust());
+                        newton_step(program, iterate, system, step, sizes, effort)
                     }
                     Err(reason) => Err(reason),
                 };
@@ -227,17 +220,17 @@ impl<'a> Newton<'a> {
     }
 }
 
-/// Derivatives at the iterate, the Newton system there, and its solution; `exact` says whether the Hessian is to be exact.
+/// Derivatives at the iterate, the Newton system there, and its solution. `effort` says whether the Hessian is to be
+/// exact, and whether a costly system need not be factorised.
 fn newton_step<'s>(
     program: &Program<'_>,
     iterate: &mut Iterate,
     system: &'s mut NewtonSystem,
     step: &mut Step,
     sizes: &mut Sizes,
-    exact: bool,
-    effort: Effort,
+    (exact, hurry): (bool, bool),
 ) -> Result<(Factored<'s>, Promise), NoStep> {
-    let mut factored = system.factorise(program, iterate, exact, effort)?;
+    let mut factored = system.factorise(program, iterate, exact, hurry)?;
     sizes.measure(program, iterate);
     let promise = factored.step(program, iterate, step);
     Ok((factored, promise))

@@ -68,9 +68,9 @@ impl NewtonSystem {
         program: &Program<'_>,
         iterate: &mut Iterate,
         exact: bool,
-        effort: Effort,
+        hurry: bool,
     ) -> Result<Factored<'_>, NoStep> {
-        let is_exact = self.eliminate(program, iterate, exact, effort)?;
+        let is_exact = self.eliminate(program, iterate, exact, hurry)?;
         let NewtonSystem { kkt, active, damping, factorised, p, q } = self;
         let factor = kkt.factor().expect("it is eliminated");
         active.begin(program, iterate, if exact { 0..0 } else { program.nlp.profiled() });
@@ -98,7 +98,7 @@ impl NewtonSystem {
         program: &Program<'_>,
         iterate: &mut Iterate,
         exact: bool,
-        effort: Effort,
+        hurry: bool,
     ) -> Result<bool, NoStep> {
         if let Some((moves, asked, is_exact)) = self.factorised
             && (moves, asked) == (iterate.moves(), exact)
@@ -112,6 +112,7 @@ impl NewtonSystem {
             iterate.gauss_newton(program)?;
         }
         program.count(|e| e.factorizations += 1);
+        let effort = Effort { refine: exact, hurry };
         self.kkt.factorize(&iterate.entries(), effort).map_err(NoStep::Singular)?;
         self.factorised = Some((iterate.moves(), exact, is_exact));
         Ok(is_exact)

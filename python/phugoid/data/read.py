@@ -17,7 +17,8 @@ from .checked import FloatArray, checked_gaps, real
 from .experiment import Experiment
 from .filtering import Interpolations
 from .multirate import multirate
-from .readers import LOG_TIMES, TIME_UNITS, TIMES, Source, arrays, flight_logs, text
+from .readers import Source, arrays, flight_logs, text
+from .time_column import PX4_TIME, are_microseconds, bare, likely_times, seconds, time_of, unit_in_name
 from .units import convert as converted
 from .units import differ, si, target
 
@@ -87,7 +88,7 @@ class _Columns:
         self._labels: dict[str, str] = {}
         self._read: dict[str, FloatArray] = {}
         names = _renamed(source, rename)
-        time = _time_of(source, names, named)
+        time = time_of(source, names, named)
         self._columns = dict(zip(names, source.columns, strict=True))
         by_file = {column.name: new for new, column in self._columns.items()}
         if rate is not None and not (isinstance(rate, Real) and 0 < rate < float("inf")):
@@ -97,7 +98,7 @@ class _Columns:
         if rate is None and self.clocks == {time} and time not in self._columns:
             # A column that the user has given another name is known not to be the time.
             others = [n for n in names if n not in rename.values()]
-            such = f", such as time='{_likely_times(others)}'" if others else " by time='...'"
+            such = f", such as time='{likely_times(others)}'" if others else " by time='...'"
             raise DataError(
                 f"{self.where}: has no time column '{time}'.{_listing(time, names)} Give the name of the one "
                 f"with times{such}, or rate=... (samples per second) for even sampling"
@@ -123,9 +124,9 @@ class _Columns:
         """Return times, converted from the unit that the file or the user gives."""
         if clock not in self._read:
             where = f"{self.where}, time '{clock}'"
-            values, dates = _seconds(self._columns[clock].values(clock))
+            values, dates = seconds(self._columns[clock].values(clock))
             values = real(values, where)
-            unit = "s" if dates else self._label(clock) or _unit_in_name(clock) or self._unit_of_stamps(clock, values)
+            unit = "s" if dates else self._label(clock) or unit_in_name(clock) or self._unit_of_stamps(clock, values)
             self._labels[clock] = unit
             if unit:
                 # Seconds "since" some date, as the CF conventions write it, are seconds; a step of time is all we need.
@@ -142,9 +143,9 @@ class _Columns:
     def _unit_of_stamps(self, clock: str, values: FloatArray) -> str:
         """Return the unit of a column `timestamp` that has none, ``"us"`` where its values are such as logs of PX4 have
         them, else ""; raise DataError for other values where the user has named neither the column nor a unit."""
-        if clock.lower() != "timestamp" or self._time_unit:
+        if clock.lower() != PX4_TIME or self._time_unit:
             return ""
-        if _are_microseconds(values):
+        if are_microseconds(values):
             self._notes.append(f"times '{clock}' read as microseconds")
             return "us"
         if self._time_is_named:
@@ -222,13 +223,13 @@ class _Columns:
 
 def _renamed(source: Source, rename: Mapping[str, str]) -> list[str]:
     names = [column.name for column in source.columns]
-    headers = [_bare(column.header) for column in source.columns]
+    headers = [bare(column.header) for column in source.columns]
     renamed = list(names)
     for old, new in rename.items():
-        header = _bare(old)
+        header = bare(old)
         if old not in names and header not in headers:
             why = f" ('{old}' {source.left_out[old]})" if old in source.left_out else ""
-            known = isinstance(new, str) and (new in names or _bare(new) in headers)
+            known = isinstance(new, str) and (new in names or bare(new) in headers)
             turned = f" rename is {{column: name}}: {{{new!r}: {old!r}}}." if known else ""
             raise DataError(f"{source.where}: rename: there is no column '{old}'{why}.{turned}{_listing(old, names)}")
         renamed[names.index(old) if old in names else headers.index(header)] = new
@@ -238,66 +239,6 @@ def _renamed(source: Source, rename: Mapping[str, str]) -> list[str]:
             raise DataError(f"{source.where}: rename: two columns would be called '{name}'")
         seen.add(name)
     return renamed
-
-
-def _unit_in_name(clock: str) -> str:
-    """Return the unit with which the name of a time column ends, as in ``t_us`` or ArduPilot's ``TimeUS``; "" where
-    there is none."""
-    if clock.lower() == LOG_TIMES[0]:
-        return "us"
-    name, _, unit = clock.lower().rpartition("_")
-    return unit if name in ("t", "time", "timestamp") and unit in TIME_UNITS else ""
-
-
-# Steps of a log in microseconds: 2 kHz to 5 Hz.
-_STEPS = (500.0, 200_000.0)
-# Seconds and milliseconds since 1970 of the years 1998 to 2052, where stamps may be no microseconds.
-_DATES = ((9e8, 2.6e9), (9e11, 2.6e12))
-
-
-def _are_microseconds(stamps: FloatArray) -> bool:
-    """Return whether stamps are whole numbers in steps of microseconds, and can be no seconds or milliseconds since
-    1970."""
-    there = stamps[np.isfinite(stamps)]
-    if there.size < 2 or (there != np.round(there)).any():
-        return False
-    low, high = float(there.min()), float(there.max())
-    dated = any(first < low and high < last for first, last in _DATES)
-    return not dated and _STEPS[0] <= float(np.median(np.diff(there))) <= _STEPS[1]
-
-
-def _time_of(source: Source, names: Sequence[str], named: str | None) -> str:
-    """Return the name of the time column: as given, or the one whose header is as given; else ``t`` or one of
-    `TIMES`, or of `LOG_TIMES`."""
-    name = "t" if named is None else named
-    if name in names:
-        return name
-    if named is None:
-        tiers = (TIMES, *((name,) for name in LOG_TIMES))
-        found = next(filter(None, ([n for n in names if n.lower() in tier] for tier in tiers)), [])
-    else:
-        header = _bare(named)
-        found = [n for n, c in zip(names, source.columns, strict=True) if header and _bare(c.header) == header]
-    return found[0] if len(found) == 1 else name
-
-
-def _likely_times(names: Sequence[str]) -> str:
-    """Return the column that may hold the times: one that is named after time, else the first."""
-    return next((n for n in names if "time" in n.lower()), next(iter(names), "t"))
-
-
-def _bare(header: str) -> str:
-    """Return a header without blanks, so that headers compare with or without one before the unit."""
-    return "".join(header.split())
-
-
-def _seconds(values: Any) -> tuple[Any, bool]:
-    """Return dates as seconds since the first and time differences as seconds, anything else unchanged; and which."""
-    array = np.asarray(values)
-    if array.dtype.kind == "M" and array.size:
-        array = array - array[0]
-    dates = array.dtype.kind == "m"
-    return (array / np.timedelta64(1, "s") if dates else values), dates
 
 
 def _listing(name: str, available: Any) -> str:

@@ -16,7 +16,6 @@ from ...errors import DataError, MissingDependency, PhugoidError, nearest
 
 __all__ = [
     "KINDS",
-    "LOG_TIMES",
     "TIMES",
     "TIME_UNITS",
     "Column",
@@ -37,9 +36,6 @@ TIMES = (
     *("zeit", "temps", "tiempo", "tempo", "tijd"),
     *(f"{name}_{unit}" for name in ("time", "t", "timestamp") for unit in TIME_UNITS),
 )
-# Those of ArduPilot and of PX4, which are taken where there is none of the others: the first are microseconds, and the
-# second, where their values show it.
-LOG_TIMES = ("timeus", "timestamp")
 
 
 @dataclass(frozen=True)

@@ -103,17 +103,19 @@ class RefitCache:
             starts: dict[str, float] = {}
             for c in candidates:
                 starts |= self._starts.get(c.name, {})
-            elsewhere = self.proposed.get(candidates[-1].name) if candidates else None
-            found = self._several.likeliest(candidates, starts, near, elsewhere)
+
+            def likeliest(candidates: Sequence[Candidate]) -> Refit | None:
+                elsewhere = self.proposed.get(candidates[-1].name) if candidates else None
+                return self._several.likeliest(candidates, starts, near, elsewhere)
+
+            found = likeliest(candidates)
             # Other records are to confirm both sides of a limit: one that is as likely alone says less.
             last = candidates[-1] if candidates else None
             others = [(last.lesser, _NEARLY), (last.otherwise, 0.0)] if last is not None else []
             for variant, less in others:
                 if found is None or variant is None:
                     continue
-                other = self._several.likeliest(
-                    [*candidates[:-1], variant], starts, near, self.proposed.get(variant.name)
-                )
+                other = likeliest([*candidates[:-1], variant])
                 if other is not None and other.fit.log_likelihood > found.fit.log_likelihood - less:
                     found = other
             found = self._begun_anywhere(found)

@@ -106,14 +106,12 @@ fn assessed(
     let of_model = || problem.posed().parameters.numbered().take(n_model);
     let names: Vec<&str> = of_model().map(|(_, p)| p.name.as_str()).collect();
     for scaling in scalings {
-        let scaled =
-            |name: &str| scaling.exponents.iter().any(|e| e.0 == name.split('[').next().unwrap_or(name));
-        for i in (0..n_model).filter(|&i| scaled(names[i])) {
+        for i in (0..n_model).filter(|&i| scaling.scales(names[i])) {
             errors[i] = f64::NAN;
             (0..n_theta).for_each(|j| covariance[i * n_theta + j] = f64::NAN);
             (0..n_theta).for_each(|j| covariance[j * n_theta + i] = f64::NAN);
         }
-        for (i, _) in model.states.iter().enumerate().filter(|s| scaled(&s.1.name)) {
+        for (i, _) in model.states.iter().enumerate().filter(|s| scaling.scales(&s.1.name)) {
             initial.iter().for_each(|&first| errors[first + i] = f64::NAN);
         }
         warnings.push(scaling.advice(model));
@@ -229,10 +227,8 @@ fn at_bounds(parameters: &[Estimate], scalings: &[Scaling]) -> Option<String> {
         "{}: {no_error}, those of the others take {optimum} as known, and the optimum may be beyond",
         each.join(", ")
     );
-    let stem = |name: &str| name.split('[').next().unwrap_or(name).to_owned();
     for (p, _, _) in &found {
-        let of = |s: &&Scaling| s.held != stem(&p.name) && s.exponents.iter().any(|e| e.0 == stem(&p.name));
-        if let Some(scaling) = scalings.iter().find(of) {
+        if let Some(scaling) = scalings.iter().find(|s| s.scales(&p.name) && !s.holds(&p.name)) {
             let at = short(scaling.at, 4);
             text.push_str(&format!(
                 "; {} may be there only because {}, which no output tells, was held at {at}: start {1} elsewhere",

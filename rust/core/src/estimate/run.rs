@@ -149,7 +149,7 @@ impl Estimation<'_> {
                 (p.start, p.fixed) = (scaling.at, true);
             }
         }
-        let is_held = |name: &str| scalings.iter().any(|s| s.held == name.split('[').next().unwrap_or(name));
+        let is_held = |name: &str| scalings.iter().any(|s| s.holds(name));
         let start = self.start.iter().filter(|s| !is_held(&s.0)).cloned().collect();
         let fit = Estimation { model: &model, start, ..self.clone() }.solve_scaled(&scalings, watch)?;
         Ok(Fit { model: self.model.clone(), ..fit })

@@ -24,6 +24,16 @@ pub struct Scaling {
 }
 
 impl Scaling {
+    /// Whether it scales a quantity; of a parameter with a value for each experiment, `name[experiment]`, too.
+    pub fn scales(&self, name: &str) -> bool {
+        self.exponents.iter().any(|e| e.0 == stem(name))
+    }
+
+    /// Whether a parameter is the one to hold, likewise.
+    pub fn holds(&self, name: &str) -> bool {
+        self.held == stem(name)
+    }
+
     /// Says which quantities are free to scale, and what to fix.
     pub fn advice(&self, model: &Model) -> String {
         let power = |e: f64| match e {
@@ -300,4 +310,9 @@ impl Equations {
         };
         free.map(direction).collect()
     }
+}
+
+/// The name of a parameter without that of an experiment.
+fn stem(name: &str) -> &str {
+    name.split('[').next().unwrap_or(name)
 }

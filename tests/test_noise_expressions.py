@@ -108,6 +108,13 @@ def test_the_noise_is_saved_with_model_and_fit(tmp_path) -> None:
     assert "a + b*x" in str(again.noise) or "size" in str(again.noise)
 
 
+def test_a_fit_with_noise_of_the_model_is_validated() -> None:
+    fit = ph.estimate(decay(), record(1))
+    again, other = fit.validate(record(1)), fit.validate(record(2, "other"))
+    assert again.log_likelihood == pytest.approx(fit.log_likelihood, rel=1e-9)
+    assert other.converged and set(other.matches) == {"y", "z"} and "other" in other.summary()
+
+
 def test_what_cannot_be_is_refused() -> None:
     m = decay()
     with pytest.raises(ph.ModelError, match="noise of output y: symbol 'c' is not declared"):

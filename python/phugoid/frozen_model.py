@@ -121,8 +121,10 @@ def freeze_noise(fit: FitResult) -> tuple[Noise, tuple[str, ...]]:
 
 
 def _known(noise: Noise, outputs: Sequence[str], values: Mapping[str, float]) -> Noise:
-    """Return a noise model with ``values`` (``sigma_<output>``, ...) in place of what it estimates."""
-    sigma = {name: values.get(f"sigma_{name}", noise.known_sigmas(outputs).get(name, math.nan)) for name in outputs}
+    """Return a noise model with ``values`` (``sigma_<output>``, ...) in place of what it estimates. Parameters in
+    expressions are those of the model."""
+    known: dict[str, Any] = {**noise.known_sigmas(outputs), **noise.expressions}
+    sigma = {name: values.get(f"sigma_{name}", known.get(name, math.nan)) for name in outputs}
     if isinstance(noise, Gaussian):
         if noise.covariance is not None:
             return noise

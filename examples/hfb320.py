@@ -61,30 +61,38 @@ SIGMA = {
 
 def model() -> ph.Model:
     """The paper's model (section HFB-320 Hansa Jet longitudinal motion)."""
-    g0, rho, mass = 9.80665, 0.792, 7472.0  # m/s^2, kg/m^3, kg
-    s_m, sc_iy = 4.028e-3, 8.0027e-4  # wing area over mass, m^2/kg; area times chord over inertia, 1/kg
-    lt_iy = -7.0153e-6  # thrust arm over inertia, 1/(kg m)
-    v_ref, half_chord, eps_t = 104.67, 1.215, 0.0524  # m/s, m, rad
-
     m = ph.Model("HFB-320 longitudinal")
     V, alpha, theta, q = m.states(V="m/s", alpha="rad", theta="rad", q="rad/s")
     de, T = m.inputs(de="rad", T="N")
+    g, rho, mass, V_ref, c = m.constants(
+        g=ph.Constant(9.80665, "m/s²", "acceleration of gravity"),
+        rho=ph.Constant(0.792, "kg/m³", "density of the air"),
+        mass=ph.Constant(7472.0, "kg", "of the aircraft"),
+        V_ref=ph.Constant(104.67, "m/s", "reference airspeed"),
+        c=ph.Constant(2.43, "m", "mean aerodynamic chord"),
+    )
+    S_m, Sc_Iy, lt_Iy, epsilon_T = m.constants(
+        S_m=ph.Constant(4.028e-3, "m²/kg", "wing area over mass"),
+        Sc_Iy=ph.Constant(8.0027e-4, "m/kg", "wing area times chord over moment of inertia"),
+        lt_Iy=ph.Constant(-7.0153e-6, "1/(kg m)", "arm of the thrust over moment of inertia"),
+        epsilon_T=ph.Constant(0.0524, "rad", "inclination of the thrust"),
+    )
     CD0, CDV, CDa, CL0, CLV, CLa = m.parameters("CD0 CDV CDa CL0 CLV CLa")
     Cm0, CmV, Cma, Cmq, Cmde = m.parameters("Cm0 CmV Cma Cmq Cmde")
     b_q, b_aq, b_ax, b_az = m.parameters("b_q b_aq b_ax b_az")
 
-    dV = V / v_ref - 1
+    dV = V / V_ref - 1
     # The paper prints the pitch rate as q c/(2 V); its published optimum was found with q c/(2 Vref).
     CD, CL, Cm = m.quantities(
         CD=CD0 + CDV * dV + CDa * alpha,
         CL=CL0 + CLV * dV + CLa * alpha,
-        Cm=Cm0 + CmV * dV + Cma * alpha + Cmq * (half_chord / v_ref) * q + Cmde * de,
+        Cm=Cm0 + CmV * dV + Cma * alpha + Cmq * (c / (2 * V_ref)) * q + Cmde * de,
     )
     pressure = 0.5 * rho * V**2
-    q_dot = sc_iy * pressure * Cm + lt_iy * T
+    q_dot = pressure * Sc_Iy * Cm + lt_Iy * T
     m.dynamics(
-        V=-s_m * pressure * CD + T / mass * cos(alpha + eps_t) - g0 * sin(theta - alpha),
-        alpha=-s_m * pressure / V * CL + (g0 * cos(theta - alpha) - T / mass * sin(alpha + eps_t)) / V + q,
+        V=-pressure * S_m * CD + T / mass * cos(alpha + epsilon_T) - g * sin(theta - alpha),
+        alpha=-pressure * S_m / V * CL + (g * cos(theta - alpha) - T / mass * sin(alpha + epsilon_T)) / V + q,
         theta=q,
         q=q_dot,
     )
@@ -94,8 +102,8 @@ def model() -> ph.Model:
         theta=theta,
         q=(q + b_q, "rad/s"),
         aq=(q_dot + b_aq, "rad/s²"),
-        ax=(s_m * pressure * (CL * sin(alpha) - CD * cos(alpha)) + T / mass * cos(eps_t) + b_ax, "m/s²"),
-        az=(-s_m * pressure * (CL * cos(alpha) + CD * sin(alpha)) - T / mass * sin(eps_t) + b_az, "m/s²"),
+        ax=(pressure * S_m * (CL * sin(alpha) - CD * cos(alpha)) + T / mass * cos(epsilon_T) + b_ax, "m/s²"),
+        az=(-pressure * S_m * (CL * cos(alpha) + CD * sin(alpha)) - T / mass * sin(epsilon_T) + b_az, "m/s²"),
     )
     return m
 

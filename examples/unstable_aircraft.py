@@ -31,7 +31,7 @@ def model() -> ph.Model:
     w, q = m.states(w="m/s", q="rad/s")
     (de,) = m.inputs(de="rad")
     Zw, Zq, Zde, Mw, Mq, Mde = m.parameters("Zw Zq Zde Mw Mq Mde")
-    U0 = 44.5695  # m/s
+    (U0,) = m.constants(U0=ph.Constant(44.5695, "m/s", "airspeed of the trim"))
     m.dynamics(w=Zw * w + (U0 + Zq) * q + Zde * de, q=Mw * w + Mq * q + Mde * de)
     m.outputs(w=w, q=q, az=(Zw * w + Zq * q + Zde * de, "m/s²"))
     return m

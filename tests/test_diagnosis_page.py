@@ -127,7 +127,7 @@ def whole(fits: tuple[ph.Fit, ph.Fit], extension: Extension) -> Any:
         threshold=17.0,
         notes=("Half of the record <was> held out.",),
         seconds=1.25,
-        extend=lambda: extension,
+        extend=lambda minor=False: extension,
     )
 
 
@@ -249,7 +249,7 @@ def test_page_without_findings_does_not_extend(diagnosis: Any, fits: tuple[ph.Fi
 def test_page_without_candidates_or_held_out_data(diagnosis: Any, extension: Extension, tmp_path: Path) -> None:
     diagnosis.ranking = []
     gain = dataclasses.replace(extension.gain, held_out=NAN, held_out_rms_before={}, held_out_rms_after={})
-    diagnosis.extend = lambda: dataclasses.replace(extension, gain=gain)
+    diagnosis.extend = lambda minor=False: dataclasses.replace(extension, gain=gain)
     _, parsed = page(diagnosis, tmp_path)
     assert "No candidates were tried." in parsed.text
     assert "No data were held out" in parsed.text and "nan" not in parsed.text

@@ -15,9 +15,9 @@ from pathlib import Path
 # fmt: off
 RUST = [
     "math", "simd", "interrupt", "dense", "setters", "index", "lgl", "interpolate", "table", "error", "threads",
-    "pairs", "expr", "tape", "transform", "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment",
-    "gaps", "measured", "mesh", "integrate", "problem", "collocation", "shooting", "filter", "linalg", "solver",
-    "initial", "diagnosis", "simulate", "estimate",
+    "pairs", "expr", "tape", "transform", "parameter", "nlp", "noise", "condition", "constant", "model", "evaluator",
+    "experiment", "gaps", "measured", "mesh", "integrate", "problem", "collocation", "shooting", "filter", "linalg",
+    "solver", "initial", "diagnosis", "simulate", "estimate",
 ]
 
 PYTHON = [

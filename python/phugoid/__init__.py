@@ -57,6 +57,7 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES; a name imported `as
     from .goodness_of_fit import Tolerance as Tolerance
     from .goodness_of_fit import match as match
     from .many_starts.multistart import multistart as multistart
+    from .modelling.constant import Constant as Constant
     from .modelling.declared import State as State
     from .modelling.densities import Density as Density
     from .modelling.densities import Huber as Huber
@@ -104,6 +105,7 @@ _PLACES = {
     "sinh smooth_abs smooth_max smooth_min smooth_sign smooth_step sqrt tan tanh where",
     "goodness_of_fit": "Tolerance match",
     "many_starts.multistart": "multistart",
+    "modelling.constant": "Constant",
     "modelling.declared": "State",
     "modelling.densities": "Density Huber Laplace PerExperiment PerOutput StudentT",
     "modelling.model": "Model",

@@ -145,10 +145,11 @@ class Diagnosis(DiagnosisResult, Generic[_F]):
         and unknown functions, the ranking of candidates, and what the extension changes, as far as there are such."""
         return diagnosis_figures(self)
 
-    def report(self, path: str | os.PathLike[str]) -> None:
+    def report(self, path: str | os.PathLike[str], *, minor: bool = False) -> None:
         """Write one HTML page that a colleague understands: the misfit, the cause and other candidates for it, the
-        evidence, the new equations, the gain."""
-        diagnosis_report(self, path)
+        evidence, the new equations, the gain. These are of the named causes; with ``minor`` they are those of
+        ``extend(minor=True)``."""
+        diagnosis_report(self, path, minor=minor)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the diagnosis, for `load`: fit, findings, ranking, misfit in words, extended model with fit and gain.

@@ -259,6 +259,8 @@ def _markup(e: Expr, new: Collection[str]) -> tuple[str, int]:
     if operation == "symbol":
         return _symbol(e.name or str(e), new), _ATOM
     if operation == "constant":
+        if e.constants:
+            return _symbol(e.constants[0][0], new), _ATOM
         return _constant(e.constant if e.constant is not None else float("nan"))
     of = [_markup(a, new) for a in arguments]
     if operation in ("add", "sub"):

@@ -14,6 +14,7 @@ from .figures import fit as plot
 from .figures.estimates import plot_convergence, plot_parameters
 from .fit_result import FitResult
 from .goodness_of_fit import Match, match
+from .modelling.constant import constants_table
 from .notebook import equation
 from .pages import WIDTHS, PageTable, Picture, histories, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
@@ -172,6 +173,7 @@ def report(
         residuals=_residuals(fit),
         validation=None if validation is None else _validation(validation),
         equations=equations,
+        constants=PageTable(*constants_table(fit.model.declared_constants)),
         late=late,
         solver=_solver(fit) if fit.history else None,
         sources=sources(fit.records, known, fit.experiments, files),

@@ -61,7 +61,8 @@ def lag(late: bool = False, free: bool = False) -> ph.Model:
         b=ph.Parameter(0.0, unit="m", per_experiment=True),
         tau=ph.Parameter(0.05, bounds=(0.0, 0.3), unit="s", fixed=not late),
     )
-    m.dynamics(x=v, v=a * ((m.delay(u, tau) if late else u + 0 * tau) - x) - 0.8 * v + 0.01 * ph.sin(x) ** 2)
+    (c,) = m.constants(c=ph.Constant(0.8, "1/s", "damping"))
+    m.dynamics(x=v, v=a * ((m.delay(u, tau) if late else u + 0 * tau) - x) - c * v + 0.01 * ph.sin(x) ** 2)
     m.outputs(x=(x + b, "m"))
     if not (late or free):
         m.initial(v=0.0)

@@ -14,7 +14,7 @@ from .system import System
 __all__ = ["HFB320"]
 
 G0, RHO, MASS = 9.80665, 0.792, 7472.0  # m/s², kg/m³, kg
-S_M, SC_IY, LT_IY = 4.028e-3, 8.0027e-4, -7.0153e-6  # m²/kg, 1/kg, 1/(kg m)
+S_M, SC_IY, LT_IY = 4.028e-3, 8.0027e-4, -7.0153e-6  # m²/kg, m/kg, 1/(kg m)
 V_REF, HALF_CHORD, EPS_T = 104.67, 1.215, 0.0524  # m/s, m, rad
 
 

@@ -178,7 +178,16 @@ class _Writer:
         return Code(self.name, f"{head}\n{self._header()}", "\n\n".join(body) + "\n")
 
     def _facts(self) -> list[str]:
-        return [f"{self.name}: written by phugoid {__version__}", *self.contents.facts, *self._late()]
+        return [
+            f"{self.name}: written by phugoid {__version__}",
+            *self.contents.facts,
+            *self._constants(),
+            *self._late(),
+        ]
+
+    def _constants(self) -> list[str]:
+        constants = self.model.declared_constants
+        return [f"constant {n} = {c.value!r} {c.unit}".rstrip() for n, c in constants.items()]
 
     def _late(self) -> list[str]:
         delays = self.model.delays

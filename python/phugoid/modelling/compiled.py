@@ -64,6 +64,8 @@ class CompiledExpressions:
         core = _core.Model("expressions")
         for i in self._used:
             core.parameter(parameters[i], "", 0.0, -np.inf, np.inf, None, False, False, False, None)
+        for constant, value in sorted({pair for e in expressions for pair in e.constants}):
+            core.constant(constant, value, "", "")
         for name in inputs:
             core.input(name, "")
         self._stateless = not states  # a model has at least one

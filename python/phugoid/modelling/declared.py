@@ -24,6 +24,7 @@ from ..errors import ModelError, listing, some
 from ..notebook import equation, overview, readable, readable_latex
 from ..parameters import Parameter
 from ..time_unit import SECONDS
+from .constant import Constant, constants_table
 
 __all__ = [
     "Declared",
@@ -323,6 +324,8 @@ def rebuilt(
         core.input(name, unit)
     for declared in old.parameters:
         declare(core, declared)
+    for constant in old.constants:
+        core.constant(*constant)
     for name, e, _, source in old.quantities:
         core.quantity(name, change(("quantity", name), e), source)
     for name, e in quantities.items():
@@ -420,6 +423,7 @@ def model_html(
     symbols: Mapping[str, Sequence[str]],
     units: Mapping[str, str],
     parameters: Mapping[str, Parameter],
+    constants: Mapping[str, Constant],
 ) -> str:
     """Return the HTML of a model from its equations and its symbols by kind."""
     lines = [
@@ -436,7 +440,8 @@ def model_html(
         remark = "fixed" if p.fixed else f"{p.bounds[0]:g} to {p.bounds[1]:g}" if limited else ""
         rows.append([symbol, "parameter", p.unit, f"{p.start:.6g}", remark])
     heads = ["symbol", "", "unit", "start", "bounds"]
-    return overview(core.name, (["", "equation"], lines, "ll"), (heads, rows, "sllrl"), note=note)
+    known = [constants_table(constants)] if constants else []
+    return overview(core.name, (["", "equation"], lines, "ll"), (heads, rows, "sllrl"), *known, note=note)
 
 
 def model_latex(core: _core.Model, conditions: Sequence[str]) -> str:
@@ -464,10 +469,13 @@ def time_note(time: str) -> list[str]:
 
 
 def model_text(core: _core.Model, conditions: Sequence[str], time: str) -> str:
-    """Return the equations of a model, its measured conditions and its unit of time unless s, line by line."""
+    """Return the equations of a model, its measured conditions, its constants and its unit of time unless s, line by
+    line."""
     marks = {"quantity": "", "equation": "'", "output": " (measured)"}
     lines = [f"{name}{marks.get(kind, f' ({kind})')} = {e}" for (kind, name), e in equations_of(core)]
     units = {n: f" ({unit})" if unit else "" for n, unit in core.inputs}
     lines += [f"conditions: {', '.join(f'{n}{units[n]}' for n in conditions)}"] if conditions else []
+    for n, value, unit, meaning in core.constants:
+        lines.append(f"{n} = {value:.10g} {unit}".rstrip() + (f" ({meaning})" if meaning else ""))
     lines += time_note(time)
     return "\n".join([core.name, *(f"  {readable(line)}" for line in lines)])

@@ -1,4 +1,4 @@
-"""The user's model: states, inputs, parameters, quantities, state equations and outputs."""
+"""The user's model: states, inputs, parameters, constants, quantities, state equations and outputs."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from ..errors import ModelError, did_you_mean, refuse_attribute
 from ..parameters import Parameter
 from ..time_unit import SECONDS, TimeUnit
 from ..writing import read_text, sealed, unsealed, write
+from .constant import Constant, declared_constant
 from .declared import (
     Declared,
     Delays,
@@ -137,6 +138,26 @@ class Model:
                 raise ModelError(f"parameter '{name}': {error}") from None
             symbols.append(declare_parameter(self._core, name, p))
         return Declared(symbols)
+
+    def constants(self, *names: str, **constants: Constant | float) -> tuple[Expr, ...]:
+        """Declare known constants, ``g=9.80665`` or ``S=Constant(30.1, "m²", "wing area")``; return them in order.
+
+        Equations show them by name, and tables list value, unit and meaning. In all else they are their values: they
+        take no time, and they are not estimated. A number that is to be changed later, or to be estimated on other
+        data, is a parameter: ``Parameter(30.1, fixed=True)``.
+
+        >>> m = Model("fall")
+        >>> v, = m.states(v="m/s")
+        >>> k, = m.parameters("k")
+        >>> g, = m.constants(g=Constant(9.80665, "m/s²", "acceleration of gravity"))
+        >>> m.dynamics(v=g - k*v**2)
+        >>> m.equations["v'"]
+        g - k*v**2
+        >>> m.declared_constants["g"].unit
+        'm/s²'
+        """
+        each = {n: declared_constant(n, c) for n, c in read_names("constants", names, constants).items()}
+        return Declared(self._core.constant(name, c.value, c.unit, c.meaning) for name, c in each.items())
 
     def delay(self, input: Expr, by: Expr, name: str | None = None) -> Expr:
         """Return the symbol of the delayed input u(t - tau), with ``by`` the parameter tau, which is estimated.
@@ -273,6 +294,16 @@ class Model:
         return tuple(name for name, *_ in self._core.parameters)
 
     @property
+    def constant_names(self) -> tuple[str, ...]:
+        """Names of the constants, in order."""
+        return tuple(name for name, *_ in self._core.constants)
+
+    @property
+    def declared_constants(self) -> dict[str, Constant]:
+        """The constants as declared."""
+        return {name: Constant(value, unit, meaning) for name, value, unit, meaning in self._core.constants}
+
+    @property
     def declared_parameters(self) -> dict[str, Parameter]:
         """The parameters as declared."""
         rows = self._core.parameters
@@ -292,7 +323,8 @@ class Model:
 
     @property
     def units(self) -> dict[str, str]:
-        """Units of states, inputs, parameters and outputs by name, where known; that of ``time`` where it is not s.
+        """Units of states, inputs, parameters, constants and outputs by name, where known; that of ``time`` where it is
+        not s.
 
         Where an output has the name of a state, the unit is that of the output, in which it was measured.
         """
@@ -303,6 +335,7 @@ class Model:
         """Units of what stands in equations: the same, with that of the state where an output has its name."""
         pairs = [*self._core.states, *self._core.inputs]
         pairs += [(name, unit) for name, unit, *_ in self._core.parameters]
+        pairs += [(name, unit) for name, _, unit, _ in self._core.constants]
         pairs += [("time", str(self._time_unit))] if self._time_unit != SECONDS else []
         named = {name: unit for name, unit in pairs if unit}
         found = self._output_units | dict(self._core.states) | named
@@ -371,7 +404,9 @@ class Model:
     def _repr_html_(self) -> str:
         controls = [n for n in self.input_names if not self.is_condition(n)]
         symbols = {"state": self.state_names, "input": controls, "condition": self.condition_names}
-        return model_html(self._core, self._counts(), symbols, self.units, self.declared_parameters)
+        return model_html(
+            self._core, self._counts(), symbols, self.units, self.declared_parameters, self.declared_constants
+        )
 
     def to_json(self) -> str:
         """Return the model as text that `from_json`, and the Rust crate, read back exactly."""
@@ -422,6 +457,11 @@ class Model:
         (0.1, 10.0)
         """
         changes = {**(changes or {}), **parameters}
+        if constant := next((name for name in changes if name in self.constant_names), None):
+            raise ModelError(
+                f"with_parameters: '{constant}' is a constant, whose value is in the equations; to change it, declare "
+                f"it as a parameter: {constant}=Parameter(..., fixed=True)"
+            )
         return self._changed(parameters=changed_parameters(self.declared_parameters, changes))
 
     def with_terms(self, terms: Mapping[str, Any], parameters: Mapping[str, Parameter | float] | None = None) -> Model:
@@ -514,6 +554,7 @@ class Model:
         symbols = {"states": self.state_names, "inputs": [n for n in self.input_names if not self.is_condition(n)]}
         symbols |= {"conditions": self.condition_names} if self.condition_names else {}
         symbols |= {"outputs": self.output_names, "parameters": self.parameter_names}
+        symbols |= {"constants": self.constant_names} if self.constant_names else {}
         counts = [f"{len(names)} {kind[:-1] if len(names) == 1 else kind}" for kind, names in symbols.items()]
         return ", ".join([*counts, *time_note(self._time_unit)])
 

@@ -11,6 +11,7 @@ import numpy as np
 from .._core import Expr
 from ..errors import OptionError, listing
 from ..functions import atan2, cos, sin, sqrt, tan
+from ..modelling.constant import Constant
 from ..modelling.model import Model
 from ..parameters import Parameter
 
@@ -19,13 +20,13 @@ __all__ = ["flight_path"]
 Vector: TypeAlias = tuple[Any, Any, Any]
 
 
-def in_plane(m: Model, s: Mapping[str, Any], a: Mapping[str, Any], q: Any, gravity: float) -> Vector:
+def in_plane(m: Model, s: Mapping[str, Any], a: Mapping[str, Any], q: Any, g: Expr) -> Vector:
     """Add the equations of motion with wings level; return the body-axis velocity relative to the air.
 
     ``s``: states; ``a``: specific forces at the centre of gravity, by ``ax_true``, ...
     """
     V, alpha, theta = s["V"], s["alpha"], s["theta"]
-    Fx, Fz = m.quantities(Fx=a["ax_true"] - gravity * sin(theta), Fz=a["az_true"] + gravity * cos(theta))
+    Fx, Fz = m.quantities(Fx=a["ax_true"] - g * sin(theta), Fz=a["az_true"] + g * cos(theta))
     m.dynamics(
         V=Fx * cos(alpha) + Fz * sin(alpha),
         alpha=q + (Fz * cos(alpha) - Fx * sin(alpha)) / V,
@@ -41,7 +42,7 @@ def in_space(
     s: dict[str, Any],
     a: Mapping[str, Any],
     rates: Vector,
-    gravity: float,
+    g: Expr,
     air: dict[str, Expr],
 ) -> Vector:
     """Add the equations in six degrees of freedom, and speeds over ground to ``s``; return the body-axis velocity.
@@ -49,9 +50,9 @@ def in_space(
     V, alpha, beta, phi, theta = (s[n] for n in ("V", "alpha", "beta", "phi", "theta"))
     p, q, r = rates
     Fx, Fy, Fz = m.quantities(
-        Fx=a["ax_true"] - gravity * sin(theta),
-        Fy=a["ay_true"] + gravity * cos(theta) * sin(phi),
-        Fz=a["az_true"] + gravity * cos(theta) * cos(phi),
+        Fx=a["ax_true"] - g * sin(theta),
+        Fy=a["ay_true"] + g * cos(theta) * sin(phi),
+        Fz=a["az_true"] + g * cos(theta) * cos(phi),
     )
     m.dynamics(
         V=Fx * cos(alpha) * cos(beta) + Fy * sin(beta) + Fz * sin(alpha) * cos(beta),
@@ -188,14 +189,15 @@ def flight_path(
       q_true = q - b_q
       ax_true = ax - b_ax
       az_true = az - b_az
-      Fx = ax_true - 9.80665*sin(theta)
-      Fz = az_true + 9.80665*cos(theta)
+      Fx = ax_true - g*sin(theta)
+      Fz = az_true + g*cos(theta)
       V' = Fx*cos(alpha) + Fz*sin(alpha)
       alpha' = q_true + (Fz*cos(alpha) - Fx*sin(alpha))/V
       theta' = q_true
       V (measured) = V
       alpha (measured) = alpha
       theta (measured) = theta
+      g = 9.80665 m/s² (acceleration of gravity)
     """
     measured = _names("outputs", outputs)
     allowed = _LONGITUDINAL if longitudinal else tuple(_UNITS)
@@ -267,7 +269,8 @@ def flight_path(
         forces = {c: forces[c] - more for c, more in zip(forces, added, strict=True)}
     at_cg = {f"{c}_true": forces[c] for c in ("ax", "ay", "az") if c in inertial}
     a = dict(zip(at_cg, m.quantities(**at_cg), strict=True))
-    body = in_plane(m, s, a, q, gravity) if longitudinal else in_space(m, s, a, turning_rates, gravity, air)
+    (g,) = m.constants(g=Constant(gravity, "m/s²", "acceleration of gravity"))
+    body = in_plane(m, s, a, q, g) if longitudinal else in_space(m, s, a, turning_rates, g, air)
     seen = dict(s)
     for channel, vane in (("alpha", alpha_vane), ("beta", beta_vane)):
         if vane is None and not (channel == "beta" and flank):

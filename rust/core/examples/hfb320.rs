@@ -46,7 +46,7 @@ pub const LOG_LIKELIHOOD: f64 = 15055.952975804;
 /// The paper's model (section HFB-320 Hansa Jet longitudinal motion).
 pub fn model() -> Result<Model, phugoid::Error> {
     let (g0, rho, mass) = (9.80665, 0.792, 7472.0); // m/s², kg/m³, kg
-    let (s_m, sc_iy) = (4.028e-3, 8.0027e-4); // wing area over mass, m²/kg; area × chord over inertia, 1/kg
+    let (s_m, sc_iy) = (4.028e-3, 8.0027e-4); // wing area over mass, m²/kg; area × chord over inertia, m/kg
     let lt_iy = -7.0153e-6; // thrust arm over inertia, 1/(kg m)
     let (v_ref, half_chord, eps_t) = (104.67, 1.215, 0.0524_f64); // m/s, m, rad
 

@@ -101,6 +101,7 @@
 
 pub mod collocation;
 mod condition;
+mod constant;
 mod dense;
 mod diagnosis;
 mod error;
@@ -143,7 +144,7 @@ pub use experiment::{Experiment, Signal};
 pub use expr::Expr;
 pub use interpolate::Interpolation;
 pub use mesh::Grid;
-pub use model::{Model, Parameter};
+pub use model::{Constant, Model, Parameter};
 pub use noise::{Density, Dof, Noise, NoiseModel, Sigma};
 pub use simulate::Simulation;
 pub use table::{Table, TableError};

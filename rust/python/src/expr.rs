@@ -215,6 +215,12 @@ impl PyExpr {
         self.0.as_symbol().map(ToOwned::to_owned)
     }
 
+    /// Names and values of all named constants, sorted.
+    #[getter]
+    fn constants(&self) -> Vec<(String, f64)> {
+        self.0.constants().iter().map(|(name, value)| (name.to_string(), *value)).collect()
+    }
+
     /// Number, where the expression is one.
     #[getter]
     fn constant(&self) -> Option<f64> {
@@ -226,7 +232,7 @@ impl PyExpr {
     fn operation(&self) -> (&'static str, Vec<PyExpr>) {
         let args = self.0.args().iter().cloned().map(PyExpr).collect();
         let name = match self.0.node() {
-            expr::Node::Constant(_) => "constant",
+            expr::Node::Constant(_) | expr::Node::Named(..) => "constant",
             expr::Node::Symbol(_) => "symbol",
             expr::Node::Apply(op, _) => op.entry().name,
             expr::Node::Lookup(..) => "lookup",
@@ -378,6 +384,7 @@ pub fn apply(name: &str, args: Vec<Operand>) -> PyResult<PyExpr> {
     }
     let args = args.into_iter().map(Operand::finite).collect::<PyResult<Vec<Expr>>>()?;
     let numbers: Option<Vec<f64>> = args.iter().map(Expr::as_constant).collect();
+    let named_ones = args.iter().any(|a| matches!(a.node(), expr::Node::Named(..)));
     if let Some(x) = numbers {
         let value = (op.entry().value)(&x);
         if !value.is_finite() {
@@ -385,7 +392,9 @@ pub fn apply(name: &str, args: Vec<Operand>) -> PyResult<PyExpr> {
             let expr = expr.brief();
             return Err(named("ModelError", format!("{expr} is {value}: outside the domain of {name}")));
         }
-        return Ok(PyExpr(Expr::constant(value)));
+        if !named_ones {
+            return Ok(PyExpr(Expr::constant(value)));
+        }
     }
     Ok(PyExpr(Expr::apply(op, args)))
 }

@@ -1,7 +1,7 @@
 //! Models.
 
 use phugoid::model::Transform;
-use phugoid::model::{Condition, End};
+use phugoid::model::{Condition, Constant, End};
 use phugoid::model::{Delays, LateInput, LateOutput, Model, Parameter, Variable};
 use phugoid::noise::{NoiseModel, Scale};
 use pyo3::exceptions::PyValueError;
@@ -102,6 +102,11 @@ impl PyModel {
         self.0.parameter(parameter).map(PyExpr).map_err(raise)
     }
 
+    fn constant(&mut self, name: &str, value: f64, unit: &str, meaning: &str) -> PyResult<PyExpr> {
+        let constant = Constant::new(name, value).unit(unit).meaning(meaning);
+        self.0.constant(constant).map(PyExpr).map_err(raise)
+    }
+
     fn quantity(&mut self, name: &str, expr: Operand, source: Option<String>) -> PyResult<PyExpr> {
         self.0.written_at(source).quantity(name, expr.0).map(PyExpr).map_err(raise)
     }
@@ -192,6 +197,13 @@ impl PyModel {
             (p.name.clone(), p.unit.clone(), p.start, lower, upper, p.prior, p.fixed, p.local, log, scale)
         };
         self.0.parameters.iter().map(one).collect()
+    }
+
+    /// Name, value, unit and meaning.
+    #[getter]
+    fn constants(&self) -> Vec<(String, f64, String, String)> {
+        let one = |c: &Constant| (c.name.clone(), c.value, c.unit.clone(), c.meaning.clone());
+        self.0.constants.iter().map(one).collect()
     }
 
     /// Name, expression, unit and source.

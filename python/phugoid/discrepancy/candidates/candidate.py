@@ -304,6 +304,7 @@ class ExtensionBuilder:
         self.equations: dict[Key, Expr] = model._right_hand_sides()
         self.delays = model.delays
         self._taken = {*model.state_names, *model.declared_inputs, *model.parameter_names, *model.quantity_names}
+        self._taken |= {*model.constant_names}
         own = effect.parameters
         for name in self.start:
             if name not in own:

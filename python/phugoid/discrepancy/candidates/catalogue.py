@@ -49,7 +49,7 @@ class Names:
 
     def __init__(self, model: Model) -> None:
         self._taken = {*model.state_names, *model.parameter_names, *model.output_names, "time"}
-        self._taken |= {*model.quantity_names, *model.declared_inputs}
+        self._taken |= {*model.quantity_names, *model.declared_inputs, *model.constant_names}
 
     def __call__(self, wanted: str) -> str:
         return unused(re.sub(r"\W+", "_", wanted).strip("_"), self._taken)

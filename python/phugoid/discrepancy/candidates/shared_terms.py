@@ -37,7 +37,7 @@ def with_shared_terms(model: Model) -> Model:
     # What conditions at the ends of a record hold stays where it is.
     declared = {s for (kind, _), e in right.items() if kind not in ("equation", "output") for s in e.symbols}
     parameters, taken = {*model.parameter_names}, {*model.parameter_names, *model.state_names}
-    taken |= {*model.declared_inputs, *model.quantity_names, *model.output_names}
+    taken |= {*model.declared_inputs, *model.quantity_names, *model.output_names, *model.constant_names}
     quantities: dict[str, Expr] = {}
     for p in model.parameter_names:
         if p in declared or len(quantities) + 2 > _MOST:

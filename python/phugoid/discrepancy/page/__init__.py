@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 from ...figures.fit import sigmas_of
+from ...modelling.constant import constants_table
 from ...modelling.model import Model
 from ...notebook import equation
 from ...pages import WIDTHS, PageTable, histories, picture, render, sources
@@ -301,17 +302,18 @@ _RANKED = 20  # candidates in the table
 _GROWN = 0.05  # of the RMS, by which residuals on held-out data may grow without being reported
 
 
-def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
+def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str], *, minor: bool = False) -> None:
     """Write a diagnosis as one HTML page: for screen, phone and print, which needs no network.
 
     Residuals of the model, the cause and other candidates for it, the evidence, the new equations, the gain, open
-    questions, and
-    which data and versions it comes from.
+    questions, and which data and versions it comes from. The new equations have the named causes; with ``minor`` what
+    ``extend(minor=True)`` adds, too.
     """
     check_folder(path)
     check_suffix(path, PAGES, "a report")
     fit = diagnosis.fit
-    extension = diagnosis.extend() if diagnosis.found else None
+    extension = diagnosis.extend(minor=minor) if diagnosis.found or minor else None
+    extension = extension if extension is not None and (extension.added or diagnosis.found) else None
     known = {
         "model": f"{fit.model.name}; {len(fit.model.parameter_names)} parameters",
         "fit": f"{fit.status}; log-likelihood {fit.log_likelihood:.1f}; {fit.iterations} iterations",
@@ -335,7 +337,7 @@ def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
         named=[(f.cause, f.explanation.rstrip(".")) for f in diagnosis.findings if f.status == "named" and f.cause],
         explained=_explained(diagnosis),
         wrong=_wrong(diagnosis),
-        causes=[_cause(f, diagnosis.fit.model.time_unit) for f in diagnosis.findings if f.cause or f.is_drawn],
+        causes=[_cause(f, fit.model) for f in diagnosis.findings if f.cause or f.is_drawn],
         tried=len(diagnosis.ranking),
         threshold=diagnosis.threshold,
         evidence=_evidence(diagnosis) if diagnosis.ranking else None,
@@ -380,7 +382,7 @@ def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
     }
 
 
-def _cause(finding: Finding, time: TimeUnit) -> dict[str, Any]:
+def _cause(finding: Finding, model: Model) -> dict[str, Any]:
     gains = {finding.cause: finding.gain, **{n: finding.alternatives.get(n, float("nan")) for n in finding.aliases}}
     rows = [[name, with_sign(gain)] for name, gain in gains.items()] if finding.cause and finding.aliases else []
     return {
@@ -388,7 +390,7 @@ def _cause(finding: Finding, time: TimeUnit) -> dict[str, Any]:
         "status": finding.status,
         "lines": finding_lines(finding),
         "alternatives": PageTable(["candidate", "gain in log-likelihood"], rows, "lr"),
-        "curve": picture(*(curve_figure(finding, time, width)[0] for width in WIDTHS)) if finding.is_drawn else None,
+        "curve": picture(*(curve_figure(finding, model, width)[0] for width in WIDTHS)) if finding.is_drawn else None,
     }
 
 
@@ -406,16 +408,18 @@ def _evidence(diagnosis: DiagnosisResult) -> dict[str, Any]:
 
 
 def _equations(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[str, Any]:
-    """Equations that changed, as HTML, each with whether it is measured; what is late, and parameters."""
+    """Return the equations that changed, as HTML, each with whether it is measured; their constants, what is late, and
+    parameters."""
     base, model = diagnosis.fit.model, extension.model
     new = [name for name in (*model.parameter_names, *model.state_names) if not _has(base, name)]
     new += [late for late in model.delays.inputs if late not in base.delays.inputs]
     before = base.equations
-    changed = []
+    changed, used = [], set()
     for name, e in model.equations.items():
         if name not in before or str(before[name]) != str(e):
             left = name.removeprefix("y:").removesuffix("'")
             changed.append((equation(left, e, new, rate=name.endswith("'")), name.startswith("y:")))
+            used |= {constant for constant, _ in e.constants}
     inputs = [(n, late) for n, late in model.delays.inputs.items() if n not in base.delays.inputs]
     outputs = [(n, tau) for n, tau in model.delays.outputs.items() if n not in base.delays.outputs]
     rows = []
@@ -425,6 +429,7 @@ def _equations(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[s
     added = [[r[0], *r[2:]] for r in rows if not r[1]]
     return {
         "changed": changed,
+        "constants": PageTable(*constants_table({n: c for n, c in model.declared_constants.items() if n in used})),
         "late": [f"{n}(t) = {of}(t − {tau})" for n, (of, tau) in inputs]
         + [f"{n} is measured with the delay {tau}" for n, tau in outputs],
         "parameters": PageTable(["parameter", "before", "after", "unit", ""], rows, "srrll"),

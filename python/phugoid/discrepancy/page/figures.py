@@ -11,13 +11,15 @@ from ...errors import DataError, UnknownName, listing
 from ...figures import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, WIDTH, Panels, labelled, plain, styled
 from ...fit_result import FitResult
 from ...records import Record
-from ...time_unit import SECONDS, TimeUnit
+from ...time_unit import SECONDS
 from ..misfit.phrases import number
 from ..search.finding import DiagnosisResult, ExtensionResult, Finding, Gain, Scored
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from ...modelling.model import Model
 
 __all__ = [
     "curve_figure",
@@ -49,7 +51,7 @@ def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
     if any(np.isfinite(f.explained) for f in diagnosis.findings):
         figures.append(explained_figure(diagnosis.findings)[0])
     figures.append(diagnosis.misfit.plot()[0])
-    figures += [curve_figure(f, diagnosis.fit.model.time_unit)[0] for f in diagnosis.findings if f.is_drawn]
+    figures += [curve_figure(f, diagnosis.fit.model)[0] for f in diagnosis.findings if f.is_drawn]
     if diagnosis.ranking:
         figures.append(ranking_figure(diagnosis.ranking, diagnosis.threshold)[0])
     extension = diagnosis._extension
@@ -129,7 +131,7 @@ def explained_figure(findings: Sequence[Finding], width: float = WIDTH) -> tuple
     return figure, Panels({"explained": left, "outputs": right})
 
 
-def curve_figure(finding: Finding, time: TimeUnit = SECONDS, width: float = WIDTH) -> tuple[Figure, dict[str, Axes]]:
+def curve_figure(finding: Finding, model: Model | None = None, width: float = WIDTH) -> tuple[Figure, dict[str, Axes]]:
     """Return what a disturbance or an unknown function adds to its place: with a band of 95 % over time or over its
     variable, or over its two variables, where there are samples. Grey bars or dots show how many samples there are.
 
@@ -140,7 +142,8 @@ def curve_figure(finding: Finding, time: TimeUnit = SECONDS, width: float = WIDT
     name = finding.cause or next(iter(finding.aliases), "")
     where, _, what = name.partition(":")
     of = what[2:-1].split(", ") if what.startswith("f(") else []
-    added = f"added to {plain(where)}" if where else "missing term"
+    time = SECONDS if model is None else model.time_unit
+    added = f"added to {_with_unit(where, model)}" if where else "missing term"
     with styled() as plt:
         figure, axes = plt.subplots(figsize=(width, 3.0 if finding.surface else 2.0), layout="constrained")
         if finding.surface:
@@ -148,10 +151,19 @@ def curve_figure(finding: Finding, time: TimeUnit = SECONDS, width: float = WIDT
         else:
             _draw_curve(axes, finding.curve)
             axes.set_ylabel(added)
-        axes.set_xlabel(plain(of[0]) if of else time.axis())
+        axes.set_xlabel(_with_unit(of[0], model) if of else time.axis())
         if len(of) > 1:
-            axes.set_ylabel(plain(of[1]))
+            axes.set_ylabel(_with_unit(of[1], model))
     return figure, Panels({"curve": axes})
+
+
+def _with_unit(name: str, model: Model | None) -> str:
+    """Return a name with its unit, that of the rate for a state equation, as axes show it."""
+    state = name.removesuffix("'")
+    unit = "" if model is None else model.variable_units.get(state, "")
+    if model is None or unit in ("", "1", "-"):
+        return plain(name)
+    return plain(f"{name}, {unit if state == name else model.time_unit.rate(unit)}")
 
 
 def _draw_curve(axes: Axes, curve: Mapping[str, Sequence[float]]) -> None:

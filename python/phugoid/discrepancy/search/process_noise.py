@@ -94,6 +94,7 @@ def through_shaping_filter(model: Model, place: Place, tau: float) -> tuple[Mode
     """Return the model with a first-order shaping filter whose state is added to a place; the names of that state and
     of its correlation time, which starts at ``tau``, s."""
     taken = {*model.state_names, *model.declared_inputs, *model.parameter_names, *model.quantity_names}
+    taken |= {*model.constant_names}
     state, time = unused(f"{place.name}_gust", taken), unused(f"tau_{place.name}_gust", taken)
     equations, x, w = model._right_hand_sides(), Expr.symbol(place.name), Expr.symbol(state)
     if place.kind == "equation":

@@ -235,6 +235,7 @@ def _options(at: Refit) -> list[_Difference]:
         if not (p.fixed or p.per_experiment or n in added) and n in model.parameter_names
     ]
     taken = {*declared, *model.state_names, *model.quantity_names, *model.declared_inputs, *model.output_names}
+    taken |= {*model.constant_names}
     structure = ModelStructure(model)
     for place in structure.places:
         if place.kind in ("output", "equation"):

@@ -100,7 +100,7 @@ fn representatives(root: &Expr) -> HashMap<*const Node, *const Node> {
         let args = || e.args().iter().map(|a| numbers[&key(a)]).collect();
         let shape = match e.node() {
             Node::Constant(c) => Shape::Constant(c.to_bits()),
-            Node::Symbol(name) => Shape::Symbol(name),
+            Node::Symbol(name) | Node::Named(name, _) => Shape::Symbol(name),
             Node::Apply(op, _) => Shape::Apply(*op, args()),
             Node::Lookup(lookup, _) => Shape::Lookup(lookup.table.name(), lookup.order, args()),
         };
@@ -162,7 +162,7 @@ fn name(k: usize) -> String {
 fn words(root: &Expr) -> HashSet<String> {
     let mut found = HashSet::new();
     root.visit(|e| match e.node() {
-        Node::Symbol(name) => _ = found.insert(name.to_string()),
+        Node::Symbol(name) | Node::Named(name, _) => _ = found.insert(name.to_string()),
         Node::Lookup(lookup, _) => _ = found.insert(lookup.table.name().to_owned()),
         _ => {}
     });
@@ -222,7 +222,7 @@ impl Printer<'_> {
             let start = stack.len();
             match expr.node() {
                 Node::Constant(c) => out.push_str(&(style.number)(*c)),
-                Node::Symbol(name) => out.push_str(&(style.symbol)(name)),
+                Node::Symbol(name) | Node::Named(name, _) => out.push_str(&(style.symbol)(name)),
                 Node::Apply(op, args) => self.push_operation(*op, args, &mut stack),
                 Node::Lookup(lookup, args) => {
                     let name = (style.symbol)(lookup.table.name());

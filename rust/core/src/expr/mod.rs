@@ -57,6 +57,8 @@ impl Lookup {
 pub enum Node {
     /// A number.
     Constant(f64),
+    /// A number that is printed by a name: a constant that a model declares.
+    Named(Arc<str>, f64),
     /// A named quantity: state, input, parameter, time.
     Symbol(Arc<str>),
     /// An operation on other expressions.
@@ -116,6 +118,7 @@ impl Expr {
         let mut hasher = DefaultHasher::new();
         match &node {
             Node::Constant(c) => c.to_bits().hash(&mut hasher),
+            Node::Named(name, c) => (name, c.to_bits()).hash(&mut hasher),
             Node::Symbol(name) => name.hash(&mut hasher),
             Node::Apply(op, args) => {
                 op.hash(&mut hasher);
@@ -132,6 +135,22 @@ impl Expr {
     /// A number.
     pub fn constant(value: f64) -> Self {
         Self::new(Node::Constant(value))
+    }
+
+    /// A number with a name, by which it is printed; in everything else it is the number.
+    ///
+    /// ```
+    /// use phugoid::expr::Expr;
+    ///
+    /// let area = Expr::named("S", 30.1);
+    /// let lift = &area * Expr::symbol("CL");
+    /// assert_eq!(lift.to_string(), "S*CL");
+    /// assert_eq!(lift.simplified().to_string(), "30.1*CL");
+    /// assert_eq!(area.as_constant(), Some(30.1));
+    /// assert_eq!(lift.constants(), [("S".into(), 30.1)]);
+    /// ```
+    pub fn named(name: &str, value: f64) -> Self {
+        Self::new(Node::Named(name.into(), value))
     }
 
     /// A named quantity. Two symbols of one name are the same symbol.
@@ -178,7 +197,7 @@ impl Expr {
     /// The number, where the expression is one.
     pub fn as_constant(&self) -> Option<f64> {
         match self.node() {
-            Node::Constant(c) => Some(*c),
+            Node::Constant(c) | Node::Named(_, c) => Some(*c),
             _ => None,
         }
     }
@@ -217,6 +236,20 @@ impl Expr {
         names
     }
 
+    /// Names and values of all named constants, each once, sorted by name.
+    pub fn constants(&self) -> Vec<(Arc<str>, f64)> {
+        let mut found: Vec<(Arc<str>, f64)> = Vec::new();
+        self.visit(|e| {
+            if let Node::Named(name, c) = e.node()
+                && !found.iter().any(|(n, v)| n == name && v.to_bits() == c.to_bits())
+            {
+                found.push((name.clone(), *c));
+            }
+        });
+        found.sort_by(|a, b| a.0.cmp(&b.0));
+        found
+    }
+
     /// The value at numbers, or the name of a symbol that was given none.
     pub fn evaluate(&self, values: &HashMap<Arc<str>, f64>) -> Result<f64, Arc<str>> {
         let mut done: HashMap<*const Inner, f64> = HashMap::new();
@@ -224,7 +257,7 @@ impl Expr {
         self.visit(|e| {
             let args: Vec<f64> = e.args().iter().map(|a| done[&Arc::as_ptr(&a.0)]).collect();
             let value = match e.node() {
-                Node::Constant(c) => *c,
+                Node::Constant(c) | Node::Named(_, c) => *c,
                 Node::Symbol(name) => values.get(name).copied().unwrap_or_else(|| {
                     missing.get_or_insert_with(|| name.clone());
                     f64::NAN
@@ -259,7 +292,7 @@ impl Expr {
                 _ if unchanged => e.clone(),
                 Node::Apply(op, _) => Expr::apply(*op, args),
                 Node::Lookup(lookup, _) => Expr::lookup(lookup.clone(), args),
-                Node::Symbol(_) | Node::Constant(_) => e.clone(),
+                Node::Symbol(_) | Node::Constant(_) | Node::Named(..) => e.clone(),
             });
             done.insert(Arc::as_ptr(&e.0), new);
         });
@@ -277,7 +310,7 @@ impl Expr {
         }
     }
 
-    /// The expression with constants folded and equal parts shared.
+    /// The expression with constants folded, named ones among them, and equal parts shared.
     pub fn simplified(&self) -> Expr {
         let mut graph = Graph::new();
         let root = graph.import(self, &HashMap::new());
@@ -297,6 +330,7 @@ impl PartialEq for Expr {
             let same = a.0.hash == b.0.hash
                 && match (a.node(), b.node()) {
                     (Node::Constant(x), Node::Constant(y)) => x.to_bits() == y.to_bits(),
+                    (Node::Named(a, x), Node::Named(b, y)) => a == b && x.to_bits() == y.to_bits(),
                     (Node::Symbol(x), Node::Symbol(y)) => x == y,
                     (Node::Apply(x, _), Node::Apply(y, _)) => x == y,
                     (Node::Lookup(x, _), Node::Lookup(y, _)) => x == y,

@@ -12,16 +12,30 @@ use crate::table::Table;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(untagged)]
 enum Saved {
-    Constant { value: f64 },
-    Symbol { symbol: String },
-    Apply { op: String, args: Vec<usize> },
-    Lookup { table: usize, order: [u8; 2], args: Vec<usize> },
+    Constant {
+        value: f64,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        name: Option<String>,
+    },
+    Symbol {
+        symbol: String,
+    },
+    Apply {
+        op: String,
+        args: Vec<usize>,
+    },
+    Lookup {
+        table: usize,
+        order: [u8; 2],
+        args: Vec<usize>,
+    },
 }
 
 /// The key by which nodes are equal, with their arguments by place.
 #[derive(PartialEq, Eq, Hash)]
 enum Key<'a> {
     Constant(u64),
+    Named(&'a str, u64),
     Symbol(&'a str),
     Apply(Op, Vec<usize>),
     Lookup(usize, [u8; 2], Vec<usize>),
@@ -52,7 +66,13 @@ impl Pool {
                 }
                 let args: Vec<usize> = e.args().iter().map(|a| done[&std::ptr::from_ref(a.node())]).collect();
                 let (key, saved) = match e.node() {
-                    Node::Constant(c) => (Key::Constant(c.to_bits()), Saved::Constant { value: *c }),
+                    Node::Constant(c) => {
+                        (Key::Constant(c.to_bits()), Saved::Constant { value: *c, name: None })
+                    }
+                    Node::Named(name, c) => {
+                        let saved = Saved::Constant { value: *c, name: Some(name.to_string()) };
+                        (Key::Named(name, c.to_bits()), saved)
+                    }
                     Node::Symbol(name) => (Key::Symbol(name), Saved::Symbol { symbol: name.to_string() }),
                     Node::Apply(op, _) => {
                         let name = op.entry().name.to_owned();
@@ -95,7 +115,8 @@ impl Pool {
                     .collect()
             };
             let expr = match saved {
-                Saved::Constant { value } => Expr::constant(*value),
+                Saved::Constant { value, name: None } => Expr::constant(*value),
+                Saved::Constant { value, name: Some(name) } => Expr::named(name, *value),
                 Saved::Symbol { symbol } => Expr::symbol(symbol),
                 Saved::Apply { op, args } => {
                     let op = Op::from_name(op).ok_or(format!("node {i}: unknown operation '{op}'"))?;
@@ -132,7 +153,7 @@ impl Pool {
     /// # Errors
     /// For a constant that is not finite, which JSON cannot hold.
     pub fn to_json(&self) -> Result<String, String> {
-        if self.nodes.iter().any(|n| matches!(n, Saved::Constant { value } if !value.is_finite())) {
+        if self.nodes.iter().any(|n| matches!(n, Saved::Constant { value, .. } if !value.is_finite())) {
             return Err("a constant of the expression is not finite and cannot be saved".into());
         }
         serde_json::to_string(self).map_err(|e| e.to_string())

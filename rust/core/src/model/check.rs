@@ -45,6 +45,9 @@ impl Model {
                     let (name, place) = (&equation.name, equation.place());
                     return fail(format!("{kind} {name}{prime}{place}: it contains the constant {number}"));
                 }
+                if let Some(text) = self.wrong_constant(&equation.expr) {
+                    return fail(format!("{kind} {}{prime}{}: {text}", equation.name, equation.place()));
+                }
                 for symbol in equation.expr.symbols() {
                     if !known.contains(&*symbol) {
                         let hint = did_you_mean(&symbol, known.iter().copied());
@@ -63,6 +66,9 @@ impl Model {
             let place = place(c.source.as_deref());
             let periodic =
                 |symbol: &str| c.end == End::Periodic && !self.parameters.iter().any(|p| p.name == symbol);
+            if let Some(text) = self.wrong_constant(&c.expr) {
+                return fail(format!("condition of {}{place}: {text}", c.state));
+            }
             for symbol in c.expr.symbols() {
                 if !known.contains(&*symbol) {
                     let hint = did_you_mean(&symbol, known.iter().copied());
@@ -110,6 +116,9 @@ impl Model {
         if let Some(number) = not_finite(expr) {
             return Err(Error::model(format!("{start}: it contains the constant {number}")));
         }
+        if let Some(text) = self.wrong_constant(expr) {
+            return Err(Error::model(format!("{start}: {text}")));
+        }
         match expr.symbols().iter().find(|s| !known.contains(&&***s)) {
             Some(symbol) => {
                 let hint = did_you_mean(symbol, known.iter().copied());
@@ -118,6 +127,19 @@ impl Model {
             }
             None => Ok(()),
         }
+    }
+
+    /// Says of a named constant in an expression that it is not one of this model, or has another value in it.
+    fn wrong_constant(&self, expr: &Expr) -> Option<String> {
+        expr.constants().iter().find_map(|(name, value)| {
+            let Some(own) = self.constants.iter().find(|c| c.name == **name) else {
+                let hint = did_you_mean(name, self.constants.iter().map(|c| c.name.as_str()));
+                return Some(format!("constant '{name}' is not declared in this model.{hint}"));
+            };
+            (own.value.to_bits() != value.to_bits()).then(|| {
+                format!("constant '{name}' is {value} here, but was declared as {} in this model", own.value)
+            })
+        })
     }
 
     /// Symbols that dynamics, outputs and noise depend on, through quantities too.

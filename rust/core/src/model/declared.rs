@@ -14,6 +14,7 @@ impl Model {
         let found = self
             .wrong_names()
             .or_else(|| self.wrong_parameters())
+            .or_else(|| self.wrong_constants())
             .or_else(|| self.wrong_equations())
             .or_else(|| self.wrong_delays());
         if let Some(text) = found {
@@ -26,6 +27,7 @@ impl Model {
         let names = (self.states.iter().map(|v| ("state", &v.name)))
             .chain(self.inputs.iter().map(|v| ("input", &v.name)))
             .chain(self.parameters.iter().map(|p| ("parameter", &p.name)))
+            .chain(self.constants.iter().map(|c| ("constant", &c.name)))
             .chain(self.quantities.iter().map(|e| ("quantity", &e.name)));
         let mut seen: HashSet<&str> = HashSet::from([TIME]);
         for (kind, name) in names {
@@ -45,6 +47,10 @@ impl Model {
 
     fn wrong_parameters(&self) -> Option<String> {
         self.parameters.iter().find_map(|p| Some(format!("parameter '{}': {}", p.name, p.wrong()?)))
+    }
+
+    fn wrong_constants(&self) -> Option<String> {
+        self.constants.iter().find_map(|c| Some(format!("constant '{}': {}", c.name, c.wrong()?)))
     }
 
     fn wrong_equations(&self) -> Option<String> {

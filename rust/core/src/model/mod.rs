@@ -13,6 +13,7 @@ mod saved;
 mod scaling;
 
 pub use crate::condition::{Condition, End};
+pub use crate::constant::Constant;
 pub use crate::parameter::Parameter;
 pub use crate::transform::Transform;
 pub use compiled::Compiled;
@@ -140,6 +141,8 @@ pub struct Model {
     pub inputs: Vec<Variable>,
     /// Parameters, in order.
     pub parameters: Vec<Parameter>,
+    /// Known constants, in order.
+    pub constants: Vec<Constant>,
     /// Named intermediates; a term added to one enters wherever it is used.
     pub quantities: Vec<Equation>,
     /// State equations, one a state, in any order.
@@ -174,6 +177,7 @@ impl Model {
             ("state", self.states.iter().any(|v| v.name == name)),
             ("input", self.inputs.iter().any(|v| v.name == name)),
             ("parameter", self.parameters.iter().any(|v| v.name == name)),
+            ("constant", self.constants.iter().any(|v| v.name == name)),
             ("quantity", self.quantities.iter().any(|v| v.name == name)),
         ];
         match taken.iter().find(|t| t.1) {
@@ -220,6 +224,33 @@ impl Model {
         }
         let symbol = Expr::symbol(name);
         self.parameters.push(parameter);
+        Ok(symbol)
+    }
+
+    /// Declares a known constant; returns its value under its name, for the equations.
+    ///
+    /// ```
+    /// use phugoid::{Constant, Model};
+    ///
+    /// let mut m = Model::new("fall");
+    /// let v = m.state("v", "m/s")?;
+    /// let g = m.constant(Constant::new("g", 9.80665).unit("m/s²").meaning("gravity"))?;
+    /// m.equation("v", -g)?;
+    /// m.output("v", v, "")?;
+    /// assert_eq!(m.dynamics[0].expr.to_string(), "-g");
+    /// # Ok::<(), phugoid::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// When the name is taken, or is none, and for a value that is not finite.
+    pub fn constant(&mut self, constant: Constant) -> Result<Expr, Error> {
+        self.claim("constant", &constant.name)?;
+        let name = &constant.name;
+        if let Some(wrong) = constant.wrong() {
+            return Err(Error::model(format!("constant '{name}': {wrong}")).about(name));
+        }
+        let symbol = Expr::named(name, constant.value);
+        self.constants.push(constant);
         Ok(symbol)
     }
 

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Delays, Equation, LateInput, LateOutput, Model, Parameter, Variable};
 use crate::condition::{Condition, End};
+use crate::constant::Constant;
 use crate::error::Error;
 use crate::expr::Expr;
 use crate::expr::pool::Pool;
@@ -29,6 +30,9 @@ struct SavedModel {
     states: Vec<Variable>,
     inputs: Vec<Variable>,
     parameters: Vec<Parameter>,
+    /// Older releases, which do not know these, read the same numbers without names.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    constants: Vec<Constant>,
     quantities: Vec<SavedEquation>,
     dynamics: Vec<SavedEquation>,
     outputs: Vec<SavedEquation>,
@@ -127,6 +131,7 @@ impl Model {
             states: self.states.clone(),
             inputs: self.inputs.clone(),
             parameters: self.parameters.clone(),
+            constants: self.constants.clone(),
             quantities: save(&self.quantities),
             dynamics: save(&self.dynamics),
             outputs: save(&self.outputs),
@@ -182,6 +187,9 @@ impl Model {
         }
         for p in saved.parameters {
             model.parameter(p)?;
+        }
+        for c in saved.constants {
+            model.constant(c)?;
         }
         for (e, expr) in saved.quantities.into_iter().zip(exprs.by_ref()) {
             model.written_at(e.source).quantity(&e.name, expr)?;

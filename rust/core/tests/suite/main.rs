@@ -6,6 +6,7 @@ mod any_input;
 mod best_point;
 mod collocation_derivatives;
 mod common;
+mod constants;
 mod convergence;
 mod declared_noise;
 mod deep;

@@ -39,6 +39,14 @@ proptest! {
     }
 
     #[test]
+    fn named_constants_come_back_beside_equal_numbers(expr in trees::any(), bits: u64) {
+        let number = f64::from_bits(bits);
+        prop_assume!(number.is_finite());
+        let exprs = [Expr::named("S", number) * &expr, number * &expr, Expr::named("T", number) + expr];
+        prop_assert_eq!(round_trip(&exprs), exprs);
+    }
+
+    #[test]
     fn damaged_text_never_panics(seed: u64) {
         let mut random = Random(seed);
         let text = models::nonlinear().to_json();

@@ -27,7 +27,7 @@ impl Graph {
             }
             let ids: Vec<Id> = args.iter().map(|a| done[&std::ptr::from_ref(a.node())]).collect();
             let id = match expr.node() {
-                Node::Constant(c) => self.constant(*c),
+                Node::Constant(c) | Node::Named(_, c) => self.constant(*c),
                 Node::Symbol(name) => match define.get(name) {
                     Some(&id) => id,
                     None => self.symbol(name),

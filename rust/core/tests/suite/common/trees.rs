@@ -105,7 +105,7 @@ pub fn error_bound(root: &Expr, values: &HashMap<Arc<str>, f64>) -> f64 {
         let args: Vec<(f64, f64)> = e.args().iter().map(|a| done[&std::ptr::from_ref(a.node())]).collect();
         let numbers: Vec<f64> = args.iter().map(|a| a.0).collect();
         let result = match e.node() {
-            Node::Constant(c) => (*c, 0.0),
+            Node::Constant(c) | Node::Named(_, c) => (*c, 0.0),
             Node::Symbol(name) => (values[name], values[name].abs()),
             Node::Apply(op, _) => {
                 let entry = op.entry();

@@ -81,11 +81,12 @@ def main() -> None:
         print(diagnosis.summary())
 
         # Where no cause is named there may be an unknown function or a minor finding, which `minor` adds to the model.
-        extended = diagnosis.extend(minor=not diagnosis.extend().added)
+        minor = not diagnosis.extend().added
+        extended = diagnosis.extend(minor=minor)
         step(f"4 of 4: extension by {', '.join(extended.added) or 'nothing'}")
         print(extended.gain.summary())
 
-        diagnosis.report(pages[1])
+        diagnosis.report(pages[1], minor=minor)
         page_of_fit.result()
     step("done")
     print(f"{pages[0].resolve()}  the fit")

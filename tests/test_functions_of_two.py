@@ -60,6 +60,14 @@ def test_a_bump_over_two_variables_is_shown_as_a_surface(tmp_path: Path) -> None
     assert rms < 0.3 * np.sqrt((on**2 * samples).sum() / samples.sum())
     figure, axes = curve_figure(f)
     assert (axes["curve"].get_xlabel(), axes["curve"].get_ylabel()) == ("x", "v") and len(figure.axes) == 2
+    _, named = curve_figure(f, d.fit.model)
+    assert (named["curve"].get_xlabel(), named["curve"].get_ylabel()) == ("x, m", "v, m/s")
+    pages = []
+    for minor in (False, True):
+        d.report(tmp_path / "page.html", minor=minor)
+        pages.append((tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert "The new equations" not in pages[0] and "The gain" not in pages[0]
+    assert "The model is extended by v&#39;:f(x, v)" in pages[1] and "The new equations" in pages[1]
     d.save(tmp_path / "diagnosis.json")
     assert ph.load(tmp_path / "diagnosis.json").findings[0].surface == f.surface
 

@@ -114,9 +114,11 @@ class _Setting:
 
     def record(
         self, parts: Collection[Part], colours: Mapping[str, Colour], rng: np.random.Generator, name: str
-    ) -> tuple[ph.Experiment, dict[str, np.ndarray]]:
-        """A measured record and the same without noise."""
+    ) -> tuple[ph.Experiment, dict[str, np.ndarray]] | None:
+        """A measured record and the same without noise; None where the motion diverges."""
         clean = Flow(self.system, self.vehicle, self.inputs, list(parts)).truth(list(self.start.values()))
+        if not all(np.isfinite(y).all() for y in clean.values()):
+            return None
         t, sigma = self.system.t, self.system.sigma
         outputs = {n: y + sigma[n] * colours[n].sample(t.size, rng) for n, y in clean.items()}
         return ph.Experiment(t, self.inputs, outputs, name=name), clean
@@ -163,13 +165,15 @@ def make(
         if isinstance(parts, str):
             why = parts
             continue
-        data, clean = setting.record(parts, colours, rng, "data")
-        held = other.record(parts, colours, rng, "validation")[0] if validation else None
-        if not all(np.isfinite(y).all() for e in (data, held) if e for y in e.outputs.values()):
+        measured = setting.record(parts, colours, rng, "data")
+        other_measured = other.record(parts, colours, rng, "validation") if validation else None
+        if measured is None or (validation and other_measured is None):
             why = "the truth is not finite"
             continue
+        (data, clean), held = measured, other_measured and other_measured[0]
         settings = [_Setting.draw(s, vehicle, rng, moving, steady=False) for _ in range(more)]
-        records = [each.record(parts, colours, rng, f"data {k}")[0] for k, each in enumerate(settings, 2) if each]
+        found = [each.record(parts, colours, rng, f"data {k}") for k, each in enumerate(settings, 2) if each]
+        records = [each[0] for each in found if each]
         if len(records) < more:
             why = "no further manoeuvre stays within limits"
             continue

@@ -19,6 +19,8 @@ from .system import System, Vehicle
 __all__ = ["Flow"]
 
 METHOD, TOLERANCE = "RK45", 1e-8
+FAR = 100.0
+"""A motion that exceeds a limit of its states so many times has left them for good."""
 
 
 class Flow:
@@ -159,13 +161,25 @@ class Flow:
         return at(t) | late
 
     def truth(self, x0: Sequence[float]) -> dict[str, np.ndarray]:
-        """Outputs name -> (N,), integrated by scipy to a thousandth of the noise; it came the same way."""
+        """Outputs name -> (N,), integrated by scipy to a thousandth of the noise; NaN where the motion diverges.
+
+        The motion came the same way.
+        """
         z0 = np.array(self.start([float(x) for x in x0]))
         far = list(self.system.limits.values())
         far += [far[i] if kind == "state" else abs(z0[len(far)]) + 1e-3 for _, kind, i in self.lags]
         options = {"method": METHOD, "rtol": TOLERANCE, "atol": TOLERANCE * np.array(far), "dense_output": True}
         options["max_step"] = 0.9 * self.system.step
-        forward = solve_ivp(self.rhs, (0.0, self.t[-1]), z0, **options).sol
+        sizes = np.maximum(np.abs(z0), far)
+
+        def left(_: float, z: np.ndarray) -> float:
+            return FAR - float(np.max(np.abs(z) / sizes))
+
+        left.terminal = True  # type: ignore[attr-defined]
+        forward = solve_ivp(self.rhs, (0.0, self.t[-1]), z0, events=left, **options)
+        if forward.status != 0:
+            return {name: np.full(self.t.size, np.nan) for name in self.system.outputs}
+        forward = forward.sol
         if not self.delayed:
             return self.outputs(forward, self.t)
         before = solve_ivp(self.rhs, (0.0, -max(self.delayed.values()) - 1e-6), z0, **options).sol

@@ -78,14 +78,17 @@ fn best(
     let point = Point::first(&program, start)?;
     if initial == Initial::Paths {
         let newton = Newton::new(program, point, None, settings);
-        let Along { mut newton, mut ending, consistent } = along_paths(newton, settings, watch)?;
-        if consistent {
-            // A path that leaves the equations may find a way where a consistent one has none, as from one period of an
-            // oscillation to another. Not long, where it leads nowhere.
-            let most = settings.max_iterations.min(newton.iterations() + LOOSE);
-            let capped = settings.clone().max_iterations(most);
-            ending = challenge(nlp, &mut newton, ending, start, &capped, watch)?;
-        }
+        let Along { mut newton, ending } = along_paths(newton, settings, watch)?;
+        let ending = match ending {
+            Some(ending) => {
+                // A path that leaves the equations may find a way where a consistent one has none, as from one period of an
+                // oscillation to another. Not long, where it leads nowhere.
+                let most = settings.max_iterations.min(newton.iterations() + LOOSE);
+                let capped = settings.clone().max_iterations(most);
+                challenge(nlp, &mut newton, ending, start, &capped, watch)?
+            }
+            None => newton.minimise(watch)?,
+        };
         return Ok(newton.finish(ending));
     }
     let (point, alternative) = begin(nlp, &program, point, initial);
@@ -149,16 +152,19 @@ fn nearby<'a>(
         let settings = newton.settings().clone().max_iterations(most.min(newton.iterations() + ALONG));
         let mut other = Newton::new(program, point, None, &settings);
         other.take_over(&mut newton);
-        let Along { newton: mut other, ending: end, .. } = along_paths(other, &settings, watch)?;
-        if end.status == Status::Converged || end.status.was_stopped() {
-            return Ok(other.finish(end));
-        }
+        let Along { newton: mut other, ending: end } = along_paths(other, &settings, watch)?;
+        let end = match end {
+            Some(end) if end.status == Status::Converged || end.status.was_stopped() => {
+                return Ok(other.finish(end));
+            }
+            end => end,
+        };
         // A path that leaves the equations may find a way where a consistent one has none.
         newton.take_over(&mut other);
         if spent && newton.program().stopped().is_none() {
             ending = newton.minimise(watch)?;
         }
-        if rank(end.status, &other) < rank(ending.status, &newton) {
+        if let Some(end) = end.filter(|end| rank(end.status, &other) < rank(ending.status, &newton)) {
             other.take_over(&mut newton);
             return Ok(other.finish(end));
         }
@@ -185,9 +191,8 @@ const BETTER: f64 = 1e-3;
 /// A run along paths that satisfy the equations.
 struct Along<'a> {
     newton: Newton<'a>,
-    ending: Ending,
-    /// Whether there was a consistent path to begin with.
-    consistent: bool,
+    /// `None` where there is no consistent path to begin with: then the run stands at its start.
+    ending: Option<Ending>,
 }
 
 /// The run from where steps along paths that satisfy the equations lead. Where parameters end at bounds, as rates do that are
@@ -199,12 +204,8 @@ fn along_paths<'a>(
     watch: &mut Watch<'_>,
 ) -> Result<Along<'a>, NotFinite> {
     let nlp = newton.program().nlp;
-    let mut ending = match approached(nlp, &mut newton, settings, watch)? {
-        Some(ending) => ending,
-        None => {
-            let ending = newton.minimise(watch)?;
-            return Ok(Along { newton, ending, consistent: false });
-        }
+    let Some(mut ending) = approached(nlp, &mut newton, settings, watch)? else {
+        return Ok(Along { newton, ending: None });
     };
     let mut tried: Vec<usize> = Vec::new();
     for _ in 0..RESTARTS {
@@ -242,7 +243,7 @@ fn along_paths<'a>(
             _ => newton.take_over(&mut other),
         }
     }
-    Ok(Along { newton, ending, consistent: true })
+    Ok(Along { newton, ending: Some(ending) })
 }
 
 /// The end of an approach, and of the loop from there where it led to an optimum; back there, where it leads nowhere from there.

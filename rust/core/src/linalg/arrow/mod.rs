@@ -112,6 +112,8 @@ pub struct ArrowKkt {
     weak: Vec<Direction>,
     effort: Effort,
     is_eliminated: bool,
+    /// Steps of refinement of the last solution.
+    refinements: usize,
     /// Whether the entries of the last factorisation are kept for that: always where groups are split.
     refining: bool,
     threads: Threads,
@@ -156,6 +158,7 @@ impl ArrowKkt {
             weak: Vec::new(),
             effort: Effort::FULL,
             is_eliminated: false,
+            refinements: 0,
             refining: true,
             threads: Threads::default(),
             parallel: sizes.0 >= PARALLEL_POINTS * plan.shape.n,
@@ -181,6 +184,11 @@ impl ArrowKkt {
     /// Number of groups of all chains: more than the least where the system is unstable.
     pub fn groups(&self) -> usize {
         self.forest.groups()
+    }
+
+    /// Number of steps of refinement that the last solution took.
+    pub fn refinements(&self) -> usize {
+        self.refinements
     }
 
     /// Eliminates the interior of all groups.
@@ -411,14 +419,15 @@ impl Factor for ArrowKkt {
         self.on_threads(|arrow| {
             arrow.take(p, q);
             arrow.solve_rest();
+            arrow.refinements = 0;
             // With a shift the step is damped anyway.
-            if arrow.refining && arrow.shift == 0.0 {
-                for _ in 0..REFINEMENTS {
-                    if arrow.residual() <= ROUGH {
-                        break;
-                    }
-                    arrow.solve_rest();
-                }
+            while arrow.refining
+                && arrow.shift == 0.0
+                && arrow.refinements < REFINEMENTS
+                && arrow.residual() > ROUGH
+            {
+                arrow.solve_rest();
+                arrow.refinements += 1;
             }
             arrow.give(d, lambda);
         });

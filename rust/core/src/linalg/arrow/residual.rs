@@ -143,8 +143,12 @@ impl Residual<'_> {
     }
 }
 
-/// Largest rest relative to the size of its terms, where there are any.
+/// Size in units of its state below which the terms of a row are rounding. Where a state rests, as before the first input,
+/// all its terms are, and no refinement would make the rest of its row small beside them.
+const AT_REST: f64 = 1e-3;
+
+/// Largest rest relative to the size of its terms.
 fn largest(rest: &[f64], sizes: &[f64]) -> f64 {
-    let relative = |(rest, size): (&f64, &f64)| if *size > 0.0 { rest.abs() / size } else { 0.0 };
+    let relative = |(rest, size): (&f64, &f64)| rest.abs() / size.max(AT_REST);
     rest.iter().zip(sizes).map(relative).fold(0.0, f64::max)
 }

@@ -4,7 +4,6 @@ use std::time::{Duration, Instant};
 
 use super::accuracy::FINEST;
 use super::fit::Fit;
-use super::integration::COARSE_MESH;
 use super::print::short;
 use super::run::Watch;
 use super::{Estimation, Transcription};
@@ -68,12 +67,7 @@ impl Estimation<'_> {
                 let text = "the model integrated with these estimates has the log-likelihood";
                 fit.message = format!("{}; {text} {}", fit.message, short(found, 6));
             }
-            Ok(found) if (found - path).abs() <= DIFFERENT => {
-                // Of a motion at rest, say, no error of a segment reaches a sample. A mesh that was given is the user's.
-                if self.follows_motion() {
-                    fit.warnings.retain(|text| !text.starts_with(COARSE_MESH));
-                }
-            }
+            Ok(found) if (found - path).abs() <= DIFFERENT => {}
             Ok(found) => {
                 if fit.status.is_end() && self.follows_motion() && (found - path).abs() > WRONG {
                     fit.end_as(Status::IterationLimit);
@@ -86,6 +80,19 @@ impl Estimation<'_> {
                     short(path, 6)
                 ));
             }
+        }
+    }
+
+    /// Warns where the mesh is coarse, and was not to be refined.
+    pub(super) fn warn_of_coarse_mesh(&self, fit: &mut Fit) {
+        let refined = self.refine.is_some() && self.transcription.is_collocation();
+        if refined || !fit.feasible || fit.status.was_stopped() || current().stops() {
+            return;
+        }
+        // Of a motion at rest, say, no error of a segment reaches a sample. A mesh that was given is the user's.
+        let agrees = fit.integrated.is_some_and(|l| (l - fit.log_likelihood).abs() <= DIFFERENT);
+        if !(agrees && self.follows_motion()) {
+            fit.warnings.extend(fit.coarse_mesh_warning(self.experiments));
         }
     }
 

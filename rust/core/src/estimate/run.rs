@@ -45,6 +45,7 @@ impl Estimation<'_> {
             within.solve_to_a_solution(&mut fit, &mut watch)?;
             within.compare_with_integration(&mut fit);
             within.refine_along_the_motion(&mut fit, &mut watch)?;
+            within.warn_of_coarse_mesh(&mut fit);
             within.compare_with_halves(&mut fit)?;
             Self::believe_no_end_without_solution(&mut fit);
             Self::deny_no_solution(&mut fit);
@@ -108,13 +109,7 @@ impl Estimation<'_> {
             Some(tolerance) if self.transcription.is_collocation() => {
                 self.solve_by_refinement(tolerance, watch)
             }
-            _ => {
-                let mut fit = self.solve_on_mesh(watch)?;
-                if fit.feasible && !fit.status.was_stopped() && !current().stops() {
-                    fit.warnings.extend(fit.coarse_mesh_warning(self.experiments));
-                }
-                Ok(fit)
-            }
+            _ => self.solve_on_mesh(watch),
         }
     }
 

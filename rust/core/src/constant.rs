@@ -16,7 +16,7 @@ pub struct Constant {
     /// Unit, as text; empty where unknown.
     #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "String::is_empty"))]
     pub unit: String,
-    /// What it is, in words; empty where nothing was said.
+    /// Describes it in words; empty where nothing was said.
     #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "String::is_empty"))]
     pub meaning: String,
 }

@@ -384,7 +384,6 @@ pub fn apply(name: &str, args: Vec<Operand>) -> PyResult<PyExpr> {
     }
     let args = args.into_iter().map(Operand::finite).collect::<PyResult<Vec<Expr>>>()?;
     let numbers: Option<Vec<f64>> = args.iter().map(Expr::as_constant).collect();
-    let named_ones = args.iter().any(|a| matches!(a.node(), expr::Node::Named(..)));
     if let Some(x) = numbers {
         let value = (op.entry().value)(&x);
         if !value.is_finite() {
@@ -392,7 +391,8 @@ pub fn apply(name: &str, args: Vec<Operand>) -> PyResult<PyExpr> {
             let expr = expr.brief();
             return Err(named("ModelError", format!("{expr} is {value}: outside the domain of {name}")));
         }
-        if !named_ones {
+        // A named constant is printed by its name.
+        if !args.iter().any(|a| matches!(a.node(), expr::Node::Named(..))) {
             return Ok(PyExpr(Expr::constant(value)));
         }
     }

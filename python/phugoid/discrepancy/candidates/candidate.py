@@ -28,6 +28,7 @@ __all__ = [
     "is_function",
     "largest_coefficient",
     "place_range",
+    "taken_names",
     "unused",
     "with_variants",
 ]
@@ -303,8 +304,7 @@ class ExtensionBuilder:
         self.old, self.effect, self.start = model, effect, dict(start or {})
         self.equations: dict[Key, Expr] = model._right_hand_sides()
         self.delays = model.delays
-        self._taken = {*model.state_names, *model.declared_inputs, *model.parameter_names, *model.quantity_names}
-        self._taken |= {*model.constant_names}
+        self._taken = taken_names(model)
         own = effect.parameters
         for name in self.start:
             if name not in own:
@@ -413,6 +413,12 @@ class ExtensionBuilder:
 
     def _unused(self, wanted: str) -> str:
         return unused(wanted, self._taken)
+
+
+def taken_names(model: Model) -> set[str]:
+    """Return the names that equations of a model use: a new state, parameter or quantity has none of them."""
+    names = {*model.state_names, *model.declared_inputs, *model.parameter_names}
+    return names | {*model.constant_names, *model.quantity_names}
 
 
 def unused(wanted: str, taken: set[str]) -> str:

@@ -10,7 +10,7 @@ from itertools import combinations, combinations_with_replacement, permutations,
 from ..._core import Expr
 from ...modelling.model import Model
 from ...sensitivities import Place
-from .candidate import Effect, unused
+from .candidate import Effect, taken_names, unused
 from .channel_effects import (
     ClippedSensor,
     DeadBand,
@@ -48,8 +48,7 @@ class Names:
     """Names of new parameters: none twice, none of the model's."""
 
     def __init__(self, model: Model) -> None:
-        self._taken = {*model.state_names, *model.parameter_names, *model.output_names, "time"}
-        self._taken |= {*model.quantity_names, *model.declared_inputs, *model.constant_names}
+        self._taken = {*taken_names(model), *model.output_names, "time"}
 
     def __call__(self, wanted: str) -> str:
         return unused(re.sub(r"\W+", "_", wanted).strip("_"), self._taken)

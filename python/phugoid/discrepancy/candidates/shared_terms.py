@@ -9,7 +9,7 @@ from functools import reduce
 
 from ..._core import Expr
 from ...modelling.model import Model
-from .candidate import unused
+from .candidate import taken_names, unused
 
 __all__ = ["is_shared_term", "with_shared_terms"]
 
@@ -36,8 +36,7 @@ def with_shared_terms(model: Model) -> Model:
     equations = {key: e for key, e in right.items() if key[0] in ("equation", "output")}
     # What conditions at the ends of a record hold stays where it is.
     declared = {s for (kind, _), e in right.items() if kind not in ("equation", "output") for s in e.symbols}
-    parameters, taken = {*model.parameter_names}, {*model.parameter_names, *model.state_names}
-    taken |= {*model.declared_inputs, *model.quantity_names, *model.output_names, *model.constant_names}
+    parameters, taken = {*model.parameter_names}, {*taken_names(model), *model.output_names}
     quantities: dict[str, Expr] = {}
     for p in model.parameter_names:
         if p in declared or len(quantities) + 2 > _MOST:

@@ -31,7 +31,7 @@ from ...parameters import Parameter
 from ...sensitivities import Place
 from ...solvers import Deadline, check_time
 from ...solvers.newton import Newton
-from ..candidates.candidate import unused
+from ..candidates.candidate import taken_names, unused
 from .disturbance import Disturbance, histories_at
 from .free_run import Misfitting
 from .refit import Refit, fitted_to, is_structured, on_other_data, values_of
@@ -93,8 +93,7 @@ class FilterErrorRefit:
 def through_shaping_filter(model: Model, place: Place, tau: float) -> tuple[Model, str, str]:
     """Return the model with a first-order shaping filter whose state is added to a place; the names of that state and
     of its correlation time, which starts at ``tau``, s."""
-    taken = {*model.state_names, *model.declared_inputs, *model.parameter_names, *model.quantity_names}
-    taken |= {*model.constant_names}
+    taken = taken_names(model)
     state, time = unused(f"{place.name}_gust", taken), unused(f"tau_{place.name}_gust", taken)
     equations, x, w = model._right_hand_sides(), Expr.symbol(place.name), Expr.symbol(state)
     if place.kind == "equation":

@@ -21,7 +21,7 @@ from ...parameters import Parameter
 from ...sensitivities import Place
 from ...sensitivities.linearised import Linearised
 from ...solvers.newton import Newton
-from ..candidates.candidate import unused
+from ..candidates.candidate import taken_names, unused
 from ..candidates.model_structure import ModelStructure
 from ..candidates.terms import where
 from . import Search, SearchResult
@@ -234,8 +234,7 @@ def _options(at: Refit) -> list[_Difference]:
         for n, p in declared.items()
         if not (p.fixed or p.per_experiment or n in added) and n in model.parameter_names
     ]
-    taken = {*declared, *model.state_names, *model.quantity_names, *model.declared_inputs, *model.output_names}
-    taken |= {*model.constant_names}
+    taken = {*taken_names(model), *model.output_names}
     structure = ModelStructure(model)
     for place in structure.places:
         if place.kind in ("output", "equation"):

@@ -16,6 +16,7 @@ from ..solvers import Deadline, check_time, interrupts, limited, one_blas_thread
 from .arguments import candidates_given, check_fit, freed, validation_given
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
+from .candidates.terms import where
 from .discrimination import advice_of
 from .notes import notes_of_shared_terms, search_notes
 from .prepared import PreparedRecords, prepared, within
@@ -35,7 +36,7 @@ from .search.remainder import RemainderSettings
 from .search.restart import of_shared_terms, with_optimum
 from .search.segments import segments_of
 from .search.stages import Inquiry, ranked, ranking_of, stages, words_of_inputs
-from .search.surrogates import with_held_out
+from .search.surrogates import missing_in_all, with_held_out
 
 __all__ = ["diagnose"]
 
@@ -49,6 +50,11 @@ _OF_THESE_RECORDS = (
 _TOGETHER = (
     "No cause was found with the model estimated from the records of the fit alone, which misses those held out by far "
     "more. All records together showed one: the model was estimated from {}, and nothing was held out."
+)
+_MORE_TOGETHER = (
+    "The records of the fit alone suggested {}. Estimated from all records together, the model with that still lacks a "
+    "function of {} in {} (gain in log-likelihood {:+.1f}). Therefore {} were searched together, and nothing was held "
+    "out."
 )
 
 
@@ -104,8 +110,9 @@ def diagnose(
     an output is the magnitude of what the model computes, the model with the magnitude is estimated and diagnosed;
     repeated samples of a sensor that is stuck or renewed at a lower rate are left out, and jumps of an angle by a full
     turn are removed. Where the model cannot be fitted to the validation records, blocks of the records are left out
-    in turn as without them. Where nothing is named and the model fits its records but not the validation records,
-    all are searched together, with nothing held out. Long records are searched in windows. Notes say so.
+    in turn as without them. Where nothing is named and the model fits its records but not the validation records, or
+    where all records together show that more is missing than what is named, all are searched together, with nothing
+    held out. Long records are searched in windows. Notes say so.
 
     Raises DataError for a fit that is exact or of too short a record, and for a validation record without the channels;
     OptionError and ModelError for candidates and biases that cannot be.
@@ -138,7 +145,8 @@ def diagnose(
         together = within(deadline, partial(_together, found, step), None)
         if together is not None:
             other = _searched(together, candidates, None, step, deadline)
-            found = other if other.explains_most else found
+            enough = other.explains_most if found.names_nothing else other.finds_something
+            found = other if enough else found
         records, state = found.records, found.state
         reported = _reported(records, state, deadline)
     with interrupts():
@@ -186,6 +194,19 @@ class _Searched:
         state = self.state
         found = state.result.final.candidates or state.inputs or state.sampled or state.changes
         return not (state.interrupted or found)
+
+    @property
+    def finds_something(self) -> bool:
+        """Return whether the search came to its end and says that something is missing, be it without a name."""
+        state = self.state
+        return not state.interrupted and bool(state.result.found or state.inputs or state.remainder)
+
+    @property
+    def names_terms_only(self) -> bool:
+        """Return whether the search came to its end and names terms, with the inputs and records as they are."""
+        state = self.state
+        others = state.inputs or state.sampled or state.changes
+        return bool(state.result.final.candidates) and not (state.interrupted or others)
 
     @property
     def explains_most(self) -> bool:
@@ -237,20 +258,41 @@ def _over_segments(found: _Searched, step: Callable[[str], None]) -> PreparedRec
 
 
 def _together(found: _Searched, step: Callable[[str], None]) -> PreparedRecords | None:
-    """Return the records of a search that named nothing together with those held out, where the model fits the former
-    and is wrong by more on the latter; None where it does not. Records that hardly excite what is missing hide it, and
-    so do parameters that stand in for it, with other values in each record."""
+    """Return the records of a search together with those held out, and why; None where there is no reason to search all
+    of them. Records that hardly excite what is missing hide it, or show something that acts alike there, and so do
+    parameters that stand in for it, with other values in each record."""
     records, search = found.records, found.state.first
     whole = records.parts is None and records.segments is None and not records.causes
-    if not (whole and found.names_nothing and search.cache.validation):
+    if not (whole and search.cache.validation):
+        return None
+    why = _why_together(found, step)
+    if not why:
         return None
     assert records.base is not None  # it was searched
-    own, elsewhere, times = _HIDDEN
-    if is_structured(records.base, own) or not search.assessment.is_worse_elsewhere(records.base, elsewhere, times):
-        return None
     step("estimating from all records together")
     base = with_held_out(search, records.base)
-    return None if base is None else replace(records, fit=base.fit, base=base, others=(), together=True)
+    return None if base is None else replace(records, fit=base.fit, base=base, others=(), together=why)
+
+
+def _why_together(found: _Searched, step: Callable[[str], None]) -> str:
+    """Return why all records are to be searched together, in words: where nothing is named, and the model fits its
+    records but is wrong by more on those held out; where more is missing in all records than what is named. "" else."""
+    search, final = found.state.first, found.state.result.final
+    names = joined([e.name for e in (*dataset(search.cache.base.fit), *search.cache.validation)])
+    if found.names_nothing:
+        own, elsewhere, times = _HIDDEN
+        if is_structured(search.cache.base, own):
+            return ""
+        worse = search.assessment.is_worse_elsewhere(search.cache.base, elsewhere, times)
+        return _TOGETHER.format(names) if worse else ""
+    if not found.names_terms_only:
+        return ""
+    step("comparing what was found with all records together")
+    more = missing_in_all(search, final)
+    if more is None:
+        return ""
+    gain, d = more
+    return _MORE_TOGETHER.format(joined(final.names), joined(d.variables), where(d.place), gain, names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,7 +381,7 @@ def _all_notes(found: _Searched, reported: _Reported) -> tuple[str, ...]:
     return (
         *([records.restart.words] if records.restart is not None else []),
         *([unfitted] if unfitted else []),
-        *([_TOGETHER.format(joined([e.name for e in dataset(records.fit)]))] if records.together else []),
+        *([records.together] if records.together else []),
         *search_notes(scan, final, found.listed, others, found.free, reported.ended, search.settings.most),
         *state.result.remarks,
         *reported.laws,

@@ -33,7 +33,7 @@ class PreparedRecords:
     base      the same, at an optimum; None where there is none.
     others    the validation records, like the records.
     faults, unsigned, restart, thin, parts, segments   what was done to come to this; None or empty where not needed.
-    together   whether the records held out are searched as well, and nothing is held out.
+    together   why the records held out are searched as well, and nothing is held out, in words; "" where they are not.
     """
 
     given: FitResult
@@ -46,7 +46,7 @@ class PreparedRecords:
     thin: Thinned | None = None
     parts: Parts | None = None
     segments: Segments | None = None
-    together: bool = False
+    together: str = ""
 
     @property
     def causes(self) -> list[str]:

@@ -31,7 +31,7 @@ from ...residual_noise import UniformSegment
 from ..candidates.candidate import Candidate, Effect, is_function
 from . import Search, SearchResult
 from .confirmation import Found
-from .disturbance import Disturbance, likeliest_function
+from .disturbance import Disturbance, Disturbances, functions_of, likeliest_function
 from .free_run import Explained, Misfitting, Simulated
 from .refit import Refit, fitted_to, is_structured, values_of
 from .remainder import Remainder
@@ -43,6 +43,7 @@ __all__ = [
     "LEAVES_MORE",
     "SurrogateSettings",
     "is_motion",
+    "missing_in_all",
     "persistence",
     "with_held_out",
     "without_surrogates",
@@ -144,7 +145,7 @@ class SurrogateSettings:
                 further.
     deviation   standard errors by which a parameter of a term may change when data held out are added.
     margin      log-likelihood, less the number of its parameters, by which any function of a term's variable may be
-                ahead of it on all records.
+                ahead of it on all records, and any function that is missing beside all terms.
     more        part of what a term explains that such a change, or such a function, may explain beside it: no record is
                 without another misfit.
     structure   part of the residuals' power that their past predicts, below which they pass for noise.
@@ -237,6 +238,26 @@ def with_held_out(search: Search, at: Refit) -> Refit | None:
     each = model.with_parameters({n: replace(declared[n], per_experiment=True) for n in own})
     data = [*dataset(at.fit), *search.cache.validation]
     return fitted_to(at, data, model=each, start=values_of(at.fit))
+
+
+def missing_in_all(
+    search: Search, at: Refit, settings: SurrogateSettings | None = None
+) -> tuple[float, Disturbance] | None:
+    """Return the function that is missing beside the terms of a refit where the model is estimated from the records and
+    the data held out together, of any variable in any place, and its gain in log-likelihood; None where none is
+    likelier than coloured noise by a margin.
+
+    What fits the records and predicts the data held out to within their noise may still be another effect: with twice
+    the data, and another range of motion, its shape shows. A cause that was found rightly leaves nothing.
+    """
+    s, every = settings or SurrogateSettings(), with_held_out(search, at)
+    if every is None:
+        return None
+    known = Disturbances(search.cache.base.fit.model).known
+    first = max(functions_of(every, known), key=lambda h: h.merit, default=None)
+    if first is None or first.merit < every.merit + s.margin:
+        return None
+    return first.merit - every.merit, first
 
 
 def _has_changed(before: Refit, after: Refit, candidate: Candidate, s: SurrogateSettings) -> bool:

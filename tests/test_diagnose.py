@@ -101,3 +101,16 @@ def test_a_coefficient_comes_with_the_error_that_it_has() -> None:
     assert abs(f.coefficient - true) < 4 * f.std_error < 0.5 * abs(true)
     assert f.interval[0] < f.coefficient < f.interval[1]
     assert f.parameters["f_sign_v"] == (f.coefficient, f.std_error)
+
+
+def test_what_no_candidate_describes_is_not_named_after_what_acts_alike_in_the_records_of_the_fit() -> None:
+    """Weak dry friction, which the library has not, is like a drifting sensor in these records. Those held out, with
+    them, show the step that a function of the speed makes."""
+    case = make("duffing", "f:sign(v)", "weak", "white", 320000091)
+    family = next(c.family for c in ph.candidates(case.model) if c.name == "f:sign(v)")
+    library = ph.candidates(case.model, leave_out=[family])
+    d = ph.diagnose(ph.estimate(case.model, case.data), candidates=library, validation=case.validation)
+    assert d.verdict == "unexplained"
+    (finding,) = d.findings
+    assert "f:f(v)" in (finding.cause, *finding.aliases)
+    assert any("suggested d:drift" in note and "searched together" in note for note in d.notes)

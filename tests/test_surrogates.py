@@ -23,6 +23,7 @@ from phugoid.discrepancy.search.surrogates import (
     HARMS,
     SurrogateSettings,
     is_motion,
+    missing_in_all,
     persistence,
     without_surrogates,
 )
@@ -189,6 +190,16 @@ def test_a_term_that_data_held_out_ask_to_be_different_is_a_surrogate() -> None:
     assert without_surrogates(search, result, None) == (result, None)
     right, its = named(CUBE, "v':x^3", 4.0)
     assert without_surrogates(right, its, None, replace(settings, whole=2.0)) == (its, None)
+
+
+def test_all_records_together_show_what_a_surrogate_of_nearly_the_same_shape_leaves() -> None:
+    search, result = named(CUBE, "v':x|x|", 4.0)
+    found = missing_in_all(search, result.final)
+    assert found is not None
+    gain, missing = found
+    assert gain > SurrogateSettings.margin and missing.name == "v':f(x)"
+    right, its = named(CUBE, "v':x^3", 4.0)
+    assert missing_in_all(right, its.final) is None
 
 
 def test_no_function_of_an_input_with_two_levels_is_fitted() -> None:

@@ -195,9 +195,8 @@ def test_a_term_that_data_held_out_ask_to_be_different_is_a_surrogate() -> None:
 def test_all_records_together_show_what_a_surrogate_of_nearly_the_same_shape_leaves() -> None:
     search, result = named(CUBE, "v':x|x|", 4.0)
     found = missing_in_all(search, result.final)
-    assert found is not None
-    gain, missing = found
-    assert gain > SurrogateSettings.margin and missing.name == "v':f(x)"
+    assert found is not None and found.function.name == "v':f(x)" and found.gain > SurrogateSettings.margin
+    assert len(found.base.fit.records) == 2 and not found.base.candidates
     right, its = named(CUBE, "v':x^3", 4.0)
     assert missing_in_all(right, its.final) is None
 

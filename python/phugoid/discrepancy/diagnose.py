@@ -258,41 +258,34 @@ def _over_segments(found: _Searched, step: Callable[[str], None]) -> PreparedRec
 
 
 def _together(found: _Searched, step: Callable[[str], None]) -> PreparedRecords | None:
-    """Return the records of a search together with those held out, and why; None where there is no reason to search all
-    of them. Records that hardly excite what is missing hide it, or show something that acts alike there, and so do
-    parameters that stand in for it, with other values in each record."""
+    """Return the records of a search together with those held out: where nothing is named, and the model fits its
+    records but is wrong by more on those held out; or where all records together show that more is missing than what
+    is named. None else. Records that hardly excite what is missing hide it, or show something that acts alike there,
+    and so do parameters that stand in for it, with other values in each record."""
     records, search = found.records, found.state.first
     whole = records.parts is None and records.segments is None and not records.causes
     if not (whole and search.cache.validation):
         return None
-    why = _why_together(found, step)
-    if not why:
-        return None
     assert records.base is not None  # it was searched
-    step("estimating from all records together")
-    base = with_held_out(search, records.base)
-    return None if base is None else replace(records, fit=base.fit, base=base, others=(), together=why)
-
-
-def _why_together(found: _Searched, step: Callable[[str], None]) -> str:
-    """Return why all records are to be searched together, in words: where nothing is named, and the model fits its
-    records but is wrong by more on those held out; where more is missing in all records than what is named. "" else."""
-    search, final = found.state.first, found.state.result.final
-    names = joined([e.name for e in (*dataset(search.cache.base.fit), *search.cache.validation)])
+    names = joined([e.name for e in (*dataset(records.base.fit), *search.cache.validation)])
     if found.names_nothing:
         own, elsewhere, times = _HIDDEN
-        if is_structured(search.cache.base, own):
-            return ""
-        worse = search.assessment.is_worse_elsewhere(search.cache.base, elsewhere, times)
-        return _TOGETHER.format(names) if worse else ""
-    if not found.names_terms_only:
-        return ""
-    step("comparing what was found with all records together")
-    more = missing_in_all(search, final)
-    if more is None:
-        return ""
-    gain, d = more
-    return _MORE_TOGETHER.format(joined(final.names), joined(d.variables), where(d.place), gain, names)
+        if is_structured(records.base, own) or not search.assessment.is_worse_elsewhere(records.base, elsewhere, times):
+            return None
+        step("estimating from all records together")
+        base, why = with_held_out(search, records.base), _TOGETHER.format(names)
+    elif found.names_terms_only:
+        step("comparing what was found with all records together")
+        final = found.state.result.final
+        more = missing_in_all(search, final)
+        if more is None:
+            return None
+        base, function = more.base, more.function
+        terms, variables = joined(final.names), joined(function.variables)
+        why = _MORE_TOGETHER.format(terms, variables, where(function.place), more.gain, names)
+    else:
+        return None
+    return None if base is None else replace(records, fit=base.fit, base=base, others=(), together=why)
 
 
 @dataclass(frozen=True, eq=False)

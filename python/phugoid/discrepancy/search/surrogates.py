@@ -240,12 +240,20 @@ def with_held_out(search: Search, at: Refit) -> Refit | None:
     return fitted_to(at, data, model=each, start=values_of(at.fit))
 
 
-def missing_in_all(
-    search: Search, at: Refit, settings: SurrogateSettings | None = None
-) -> tuple[float, Disturbance] | None:
+@dataclass(frozen=True, eq=False)
+class MissingInAll:
+    """Hold a ``function`` that is missing where the model is estimated from all records together, its ``gain`` in
+    log-likelihood, and the model diagnosed, estimated from them: ``base``."""
+
+    function: Disturbance
+    gain: float
+    base: Refit
+
+
+def missing_in_all(search: Search, at: Refit, settings: SurrogateSettings | None = None) -> MissingInAll | None:
     """Return the function that is missing beside the terms of a refit where the model is estimated from the records and
-    the data held out together, of any variable in any place, and its gain in log-likelihood; None where none is
-    likelier than coloured noise by a margin.
+    the data held out together, of any variable in any place; None where none is likelier than coloured noise by a
+    margin, or where it explains no more than a minor part of the misfit.
 
     What fits the records and predicts the data held out to within their noise may still be another effect: with twice
     the data, and another range of motion, its shape shows. A cause that was found rightly leaves nothing.
@@ -257,7 +265,17 @@ def missing_in_all(
     first = max(functions_of(every, known), key=lambda h: h.merit, default=None)
     if first is None or first.merit < every.merit + s.margin:
         return None
-    return first.merit - every.merit, first
+    base = with_held_out(search, search.cache.base)
+    if base is None or _part_of(first, every, base) < search.assessment.settings.minor:
+        return None
+    return MissingInAll(first, first.merit - every.merit, base)
+
+
+def _part_of(function: Disturbance, at: Refit, base: Refit) -> float:
+    """Return the part of the misfit of a base that a function explains beside the terms of a refit to the same
+    records."""
+    more = Simulated.of(at.linear, function.marginal.residuals)
+    return more.explained(Simulated.of(at.linear), Misfitting.of(base.linear)).part
 
 
 def _has_changed(before: Refit, after: Refit, candidate: Candidate, s: SurrogateSettings) -> bool:
@@ -277,12 +295,7 @@ def _likelier_shapes(search: Search, at: Refit, together: Explained, s: Surrogat
     base = with_held_out(search, search.cache.base) if ahead else None
     if base is None:
         return {}
-    without, misfit = Simulated.of(at.linear), Misfitting.of(base.linear)
-
-    def part(h: Disturbance) -> float:
-        return Simulated.of(at.linear, h.marginal.residuals).explained(without, misfit).part
-
-    return {n: h for n, h in ahead.items() if part(h) > s.more * together.part}
+    return {n: h for n, h in ahead.items() if _part_of(h, at, base) > s.more * together.part}
 
 
 def _beside(at: Refit, candidate: Candidate, rest: Disturbance) -> Disturbance:

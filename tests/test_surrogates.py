@@ -192,13 +192,14 @@ def test_a_term_that_data_held_out_ask_to_be_different_is_a_surrogate() -> None:
     assert without_surrogates(right, its, None, replace(settings, whole=2.0)) == (its, None)
 
 
-def test_all_records_together_show_what_a_surrogate_of_nearly_the_same_shape_leaves() -> None:
-    search, result = named(CUBE, "v':x|x|", 4.0)
+def test_all_records_together_show_what_is_missing_beside_a_surrogate_unless_that_is_minor() -> None:
+    search, result = named(BUMP, "v':u^2")
     found = missing_in_all(search, result.final)
     assert found is not None and found.function.name == "v':f(x)" and found.gain > SurrogateSettings.margin
     assert len(found.base.fit.records) == 2 and not found.base.candidates
-    right, its = named(CUBE, "v':x^3", 4.0)
-    assert missing_in_all(right, its.final) is None
+    for cause in ("v':x|x|", "v':x^3"):  # the former leaves 2 % of the misfit
+        right, its = named(CUBE, cause, 4.0)
+        assert missing_in_all(right, its.final) is None
 
 
 def test_no_function_of_an_input_with_two_levels_is_fitted() -> None:

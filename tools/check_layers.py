@@ -17,7 +17,7 @@ RUST = [
     "math", "simd", "interrupt", "dense", "setters", "index", "lgl", "interpolate", "table", "error", "threads",
     "pairs", "expr", "tape", "transform", "parameter", "nlp", "noise", "condition", "constant", "model", "evaluator",
     "experiment", "gaps", "measured", "mesh", "integrate", "problem", "collocation", "shooting", "filter", "linalg",
-    "solver", "initial", "diagnosis", "simulate", "estimate",
+    "solver", "initial", "diagnosis", "simulate", "estimate", "online",
 ]
 
 PYTHON = [

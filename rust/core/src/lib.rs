@@ -90,6 +90,7 @@
 //! | `diagnosis` | covariance, and what the data leave open |
 //! | [`simulate`] | what a model says for given parameters |
 //! | [`estimate`] | all of it in one call |
+//! | [`online`] | estimation while the data arrive: states, parameters and noise after each sample |
 //!
 //! # Features
 //!
@@ -124,6 +125,7 @@ mod mesh;
 pub mod model;
 pub mod nlp;
 pub mod noise;
+pub mod online;
 #[cfg(feature = "serde")]
 mod pairs;
 mod parameter;

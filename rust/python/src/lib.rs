@@ -12,6 +12,7 @@ mod memory;
 mod model;
 mod newton;
 mod noise;
+mod online;
 mod problem;
 mod random_effects;
 mod response;
@@ -37,6 +38,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<filter::PyFilter>()?;
     m.add_class::<fit::PyFit>()?;
     m.add_class::<newton::PySolution>()?;
+    m.add_class::<online::PyOnline>()?;
     m.add_class::<whitening::PyWhitening>()?;
     m.add_function(wrap_pyfunction!(whitening::burg, m)?)?;
     m.add_function(wrap_pyfunction!(random_effects::random_effects, m)?)?;

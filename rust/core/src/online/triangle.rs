@@ -29,10 +29,6 @@ impl Triangle {
         self.r.copy_from_slice(&other.r);
     }
 
-    pub(super) fn z(&self, i: usize) -> f64 {
-        self.r[i * self.width() + self.m]
-    }
-
     /// Moves the point that steps are counted from by `by`: z becomes z − R by.
     pub(super) fn shift(&mut self, by: &[f64]) {
         let (m, w) = (self.m, self.width());

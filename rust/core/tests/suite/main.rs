@@ -36,6 +36,7 @@ mod mesh;
 mod model_errors;
 mod newton;
 mod noise;
+mod online;
 mod operations;
 mod own_solver;
 mod poles;

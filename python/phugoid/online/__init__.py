@@ -1,0 +1,1 @@
+"""Estimation while the data arrive."""

@@ -68,6 +68,8 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES; a name imported `as
     from .modelling.model import Model as Model
     from .modelling.noise import Gaussian as Gaussian
     from .modelling.noise import Sigma as Sigma
+    from .online.estimator import Detect as Detect
+    from .online.estimator import Online as Online
     from .parameters import Parameter as Parameter
     from .petab.problem import read_petab as read_petab
     from .reconstruction import reconstruct as reconstruct
@@ -110,6 +112,7 @@ _PLACES = {
     "modelling.densities": "Density Huber Laplace PerExperiment PerOutput StudentT",
     "modelling.model": "Model",
     "modelling.noise": "Gaussian Sigma",
+    "online.estimator": "Detect Online",
     "parameters": "Parameter",
     "petab.problem": "read_petab",
     "reconstruction": "reconstruct",

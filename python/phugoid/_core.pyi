@@ -14,6 +14,7 @@ __all__ = [
     "Model",
     "NewtonSolution",
     "Noise",
+    "Online",
     "Problem",
     "Shooting",
     "Table",
@@ -508,3 +509,28 @@ def load_expression(text: str) -> Expr: ...
 def gaps(t: Sequence[float]) -> list[int]: ...
 def gap_warnings(inputs: Sequence[str], experiments: Sequence[_Record]) -> list[str]: ...
 def interpolate(kind: str, t: Sequence[float], values: Sequence[float], at: Sequence[float]) -> list[float]: ...
+
+@final
+class Online:
+    def __new__(
+        cls,
+        model: Model,
+        delays: _Delays,
+        counts: tuple[int, int, int, int],
+        numbers: tuple[float, float, float],
+        sigmas: Sequence[tuple[str, float]],
+        estimate_noise: bool,
+        parameters: Sequence[tuple[str, float]],
+        initial: Sequence[tuple[str, float, float]],
+        process_noise: Sequence[tuple[str, float]],
+        forgetting: tuple[str, float] | None,
+        methods: tuple[str, str],
+        deadline: float | None,
+        detect: tuple[float, float, Sequence[str], int, int, float] | None,
+    ) -> Online: ...
+    def push(self, t: float, inputs: _Array, outputs: _Array) -> None: ...
+    def run(self, t: _Array, inputs: _Array, outputs: _Array) -> dict[str, _Array]: ...
+    def estimate(self) -> dict[str, Any]: ...
+    def restart(self) -> None: ...
+    def acknowledge(self) -> None: ...
+    def work(self) -> int: ...

@@ -52,11 +52,12 @@ class Online:
     parameters as further unknowns (Jategaonkar, Flight Vehicle System Identification, chapter 7), with a longer window estimation on
     a moving horizon (Rao, Rawlings and Mayne, 2003), both in square-root information form (Bierman, 1977).
 
-    ``window``: samples whose states are estimated together. ``iterations``: Gauss-Newton iterations after a sample, at most;
+    ``window``: samples whose states are estimated together. ``first_window``: samples at the beginning that are kept until there are
+    so many, and estimated together, so that they are not linearised about start values. ``iterations``: Gauss-Newton iterations after a sample, at most;
     ``tolerance``: a step that changes the cost by less than its square is the last one. ``sigma``: standard deviations of the
     measurement noise by output, where the model does not declare them; ``estimate_noise``: whether they are estimated from there on,
     as if they came from ``noise_weight`` samples. ``parameter_errors``: standard deviations of the start values of parameters;
-    others have that of their prior, or else 100 times the larger of 1 and their size. ``initial``: initial states, each with its
+    others have that of their prior, or else 10 times the larger of 1 and their size. ``initial``: initial states, each with its
     standard deviation; others start at the first sample of the output that measures them. ``process_noise``: by state, the standard
     deviation that a random walk has after 1 s, in the unit of the state. ``forgetting``: None, or ("exponential", time constant in
     s) for all old information, or ("directional", time constant) in the directions alone in which samples bring new information (Cao
@@ -74,6 +75,7 @@ class Online:
         model: Model,
         *,
         window: int = 1,
+        first_window: int = 0,
         iterations: int = 3,
         tolerance: float = 1e-3,
         sigma: Mapping[str, float] | None = None,
@@ -107,7 +109,7 @@ class Online:
         self._core = _core.Online(
             model._core,
             model.delays.spec,
-            (window, iterations, substeps),
+            (window, int(first_window), iterations, substeps),
             (float(tolerance), float(noise_weight), float(max_gap)),
             list(_sigmas(model, sigma or {}).items()),
             bool(estimate_noise),

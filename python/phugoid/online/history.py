@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError, did_you_mean
-from ..figures import SERIES, WIDTH, Panels, figure_of
+from ..figures import LIMIT, MEASURED, MODEL, WIDTH, Panels, styled
 from .estimate import Alarm
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["OnlineHistory"]
@@ -46,7 +45,7 @@ class OnlineHistory:
 
     def plot(
         self, names: Sequence[str] | None = None, *, reference: dict[str, float] | None = None
-    ) -> tuple[Figure, dict[str, Axes]]:
+    ) -> tuple[Figure, Panels]:
         """Plot parameters over time with a band of two standard errors.
 
         ``names``: the parameters, all by default. ``reference``: values to compare with, such as those of a fit of the whole
@@ -57,33 +56,32 @@ class OnlineHistory:
         for name in names:
             if name not in self.parameters:
                 raise OptionError(f"plot: '{name}' is not a parameter.{did_you_mean(name, list(self.parameters))}")
-        panels: Any = {}
-        figure, panels = _panels(names)
+        with styled() as plt:
+            rows = -(-len(names) // 2)
+            figure, grid = plt.subplots(
+                rows, 2, sharex=True, squeeze=False, figsize=(WIDTH, 1.1 * rows + 0.5), layout="constrained"
+            )
+            for spare in grid.ravel()[len(names) :]:
+                spare.set_visible(False)
+            panels = dict(zip(names, grid.ravel(), strict=False))
+            self._draw(panels, reference or {})
+            for name in names[-2:]:
+                panels[name].set_xlabel("t, s")
+                panels[name].tick_params(labelbottom=True)
+        return figure, Panels(panels)
+
+    def _draw(self, panels: dict[str, Any], reference: dict[str, float]) -> None:
         settled = self.t >= self.t[0] + 0.25 * (self.t[-1] - self.t[0])
-        for name in names:
-            axes, value, error = panels[name], self.parameters[name], self.parameter_errors[name]
-            axes.fill_between(self.t, value - 2 * error, value + 2 * error, color=SERIES[0], alpha=0.2, lw=0)
-            axes.plot(self.t, value, color=SERIES[0], lw=1.2)
+        for name, axes in panels.items():
+            value, error = self.parameters[name], self.parameter_errors[name]
+            axes.fill_between(self.t, value - 2 * error, value + 2 * error, color=MEASURED, alpha=0.2, lw=0)
+            axes.plot(self.t, value, color=MEASURED, lw=1.2)
             low, high = (value - 3 * error)[settled].min(), (value + 3 * error)[settled].max()
-            if reference is not None and name in reference:
-                axes.axhline(reference[name], color=SERIES[1], lw=1, ls="--")
+            if name in reference:
+                axes.axhline(reference[name], color=MODEL, lw=1, ls="--")
                 low, high = min(low, reference[name]), max(high, reference[name])
             if self.alarm is not None:
-                axes.axvline(self.alarm.since, color=SERIES[2], lw=1)
+                axes.axvline(self.alarm.since, color=LIMIT, lw=1)
             if np.isfinite([low, high]).all() and low < high:
                 axes.set_ylim(low, high)
             axes.set_ylabel(name)
-        return figure, panels
-
-
-def _panels(names: list[str]) -> tuple[Figure, dict[str, Axes]]:
-    """Return a figure with a panel for each name, two side by side."""
-    rows = -(-len(names) // 2)
-    figure = figure_of(WIDTH, 1.3 * rows + 0.6)
-    axes = figure.subplots(rows, 2, sharex=True, squeeze=False).ravel()
-    for spare in axes[len(names) :]:
-        spare.set_visible(False)
-    for own in axes[max(len(names) - 2, 0) : len(names)]:
-        own.set_xlabel("t, s")
-        own.tick_params(labelbottom=True)
-    return figure, dict(zip(names, axes, strict=False))

@@ -81,7 +81,7 @@ impl PyOnline {
     fn new(
         model: &PyModel,
         delays: DelaySpec,
-        counts: (usize, usize, usize),
+        counts: (usize, usize, usize, usize),
         numbers: (f64, f64, f64),
         sigmas: Vec<(String, f64)>,
         estimate_noise: bool,
@@ -94,7 +94,7 @@ impl PyOnline {
         detect: Option<(f64, f64, Vec<String>, usize, usize, f64)>,
     ) -> PyResult<PyOnline> {
         let unknown = |what: &str, name: &str| PyValueError::new_err(format!("unknown {what} '{name}'"));
-        let (window, iterations, substeps) = counts;
+        let (window, first_window, iterations, substeps) = counts;
         let (tolerance, noise_weight, max_gap) = numbers;
         let forgetting = match forgetting {
             None => Forgetting::None,
@@ -112,6 +112,7 @@ impl PyOnline {
             Integrator::from_name(&methods.1).ok_or_else(|| unknown("integrator", &methods.1))?;
         let mut settings = Settings::default()
             .window(window)
+            .first_window(first_window)
             .iterations(iterations)
             .substeps(substeps)
             .tolerance(tolerance)

@@ -6,7 +6,8 @@
 //! normalised innovations ν since then, the change is d / J ± J^-½, and its likelihood ratio, averaged over changes of standard
 //! deviation κ, is (1 + κ²J)^-½ exp(½ d² / (J + κ⁻²)).
 
-use super::detector::{Detect, MOST, Sampled};
+use super::detector::{Detect, Sampled};
+use super::evidence::log_sum;
 use super::gauss_newton::GaussNewton;
 use super::innovation::Innovation;
 
@@ -26,13 +27,13 @@ struct Change {
 }
 
 impl Change {
+    /// The logarithm of its likelihood ratio.
     fn ratio(&self) -> f64 {
         if self.spread == 0.0 {
-            return 0.0;
+            return f64::NEG_INFINITY;
         }
         let (square, j) = (self.spread * self.spread, self.information);
-        let exponent = 0.5 * self.along * self.along / (j + 1.0 / square) - 0.5 * (square * j).ln_1p();
-        exponent.exp().min(MOST)
+        0.5 * self.along * self.along / (j + 1.0 / square) - 0.5 * (square * j).ln_1p()
     }
 }
 
@@ -58,7 +59,7 @@ pub(super) struct Changes {
 pub(super) struct Best {
     /// Number of the parameter among the watched ones.
     pub(super) watched: usize,
-    /// The statistic of this parameter, over all onsets.
+    /// The logarithm of the statistic of this parameter, over all onsets.
     pub(super) statistic: f64,
     pub(super) since: f64,
     pub(super) before: f64,
@@ -154,9 +155,9 @@ impl Changes {
         }
     }
 
-    /// The sum over parameters and onsets, each of which stands for as many samples as there are between two.
+    /// The logarithm of the sum over parameters and onsets, each of which stands for as many samples as there are between two.
     pub(super) fn statistic(&self) -> f64 {
-        self.spacing as f64 * self.all.iter().map(Change::ratio).sum::<f64>()
+        (self.spacing as f64).ln() + log_sum(self.all.iter().map(Change::ratio))
     }
 
     pub(super) fn best(&self) -> Option<Best> {
@@ -165,10 +166,10 @@ impl Changes {
         let followed = (0..self.all.len()).filter(|k| self.all[*k].information > 0.0);
         let k = followed.max_by(|a, b| size(a).total_cmp(&size(b)))?;
         let own = &self.all[k];
-        let sum: f64 = self.all.iter().skip(k % watched).step_by(watched).map(Change::ratio).sum();
+        let sum = log_sum(self.all.iter().skip(k % watched).step_by(watched).map(Change::ratio));
         Some(Best {
             watched: k % watched,
-            statistic: self.spacing as f64 * sum,
+            statistic: (self.spacing as f64).ln() + sum,
             since: own.since,
             before: own.before,
             change: own.along / own.information,

@@ -8,7 +8,8 @@
 
 use std::sync::Arc;
 
-use super::change::Changes;
+use super::change::{Best, Changes};
+use super::evidence::log_sum;
 use super::gauss_newton::GaussNewton;
 use super::innovation::Innovation;
 use super::shift::Shifts;
@@ -72,6 +73,16 @@ pub enum Cause {
     },
 }
 
+impl Cause {
+    /// Whether two causes are the same, but for numbers.
+    fn is_of(&self, other: &Cause) -> bool {
+        match (self, other) {
+            (Cause::Parameter { name: a, .. }, Cause::Parameter { name: b, .. }) => a == b,
+            _ => false,
+        }
+    }
+}
+
 /// The model no longer holds.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
@@ -89,20 +100,20 @@ pub struct Alarm {
 /// The state of the test.
 #[derive(Debug)]
 pub(super) struct Detector {
+    /// Logarithm of the statistic at which there is an alarm.
     threshold: f64,
-    /// Weights of a shift and of a change of a parameter.
+    /// Logarithms of the weights of a shift and of a change of a parameter.
     weights: [f64; 2],
     begin: f64,
     after: f64,
     pub(super) shifts: Shifts,
     pub(super) changes: Changes,
-    noticed: Option<f64>,
+    pub(super) alarm: Option<Alarm>,
+    /// The largest logarithm of the statistic since the alarm.
+    most: f64,
     outputs: Vec<Arc<str>>,
     watched: Vec<Arc<str>>,
 }
-
-/// The largest statistic that is followed, far beyond any threshold.
-pub(super) const MOST: f64 = 1e200;
 
 impl Detector {
     /// For these outputs, watched parameters with their places among the estimated ones, and n of m unknowns that are states.
@@ -117,15 +128,16 @@ impl Detector {
         let shifts = Shifts::new(outputs.len());
         // Half of the weight is that of shifts, half that of watched parameters; kinds of each count alike.
         let half = if names.is_empty() { 1.0 } else { 0.5 };
-        let weights = [half / shifts.kinds() as f64, half / names.len().max(1) as f64];
+        let weights = [half / shifts.kinds() as f64, half / names.len().max(1) as f64].map(f64::ln);
         Detector {
             weights,
-            threshold: detect.mean_samples,
+            threshold: detect.mean_samples.ln(),
             begin: f64::NAN,
             after: detect.after,
             shifts,
             changes: Changes::new(detect, places, n, m, outputs.len()),
-            noticed: None,
+            alarm: None,
+            most: f64::NEG_INFINITY,
             outputs,
             watched: names,
         }
@@ -135,53 +147,52 @@ impl Detector {
     pub(super) fn reset(&mut self) {
         self.shifts.reset();
         self.changes.reset();
-        self.noticed = None;
+        self.alarm = None;
+        self.most = f64::NEG_INFINITY;
     }
 
-    /// Takes the innovations of a sample at time t, after a pass forward. What it says then.
-    pub(super) fn update(
-        &mut self,
-        solver: &mut GaussNewton,
-        innovation: &Innovation,
-        sample: Sampled<'_>,
-    ) -> Option<Alarm> {
+    /// Takes the innovations of a sample at time t, after a pass forward.
+    pub(super) fn update(&mut self, solver: &mut GaussNewton, innovation: &Innovation, sample: Sampled<'_>) {
         if self.begin.is_nan() {
             self.begin = sample.t;
         }
         if sample.t - self.begin < self.after {
-            return None;
+            return;
         }
         self.shifts.update(&solver.present, innovation, sample.t);
         self.changes.update(solver, innovation, sample);
-        let total = self.shifts.statistic() * self.weights[0] + self.changes.statistic() * self.weights[1];
-        if total >= self.threshold && self.noticed.is_none() {
-            self.noticed = Some(sample.t);
+        let statistics = [self.shifts.statistic(), self.changes.statistic()];
+        let weighted = |k: usize, statistic: f64| statistic + self.weights[k];
+        let total = log_sum((0..2).map(|k| weighted(k, statistics[k])));
+        if total < self.threshold && self.alarm.is_none() {
+            return;
         }
-        let noticed = self.noticed?;
         let (shift, change) = (self.shifts.best(), self.changes.best());
-        let own = [shift.statistic * self.weights[0], change.map_or(0.0, |c| c.statistic * self.weights[1])];
-        Some(match change {
-            Some(change) if own[1] >= own[0] => Alarm {
-                since: change.since,
-                noticed,
-                cause: Cause::Parameter {
-                    name: self.watched[change.watched].clone(),
-                    before: change.before,
-                    change: change.change,
-                    error: change.error,
-                },
-                share: own[1] / total,
+        let own =
+            [weighted(0, shift.statistic), change.map_or(f64::NEG_INFINITY, |c| weighted(1, c.statistic))];
+        let cause = match change {
+            Some(Best { watched, before, change, error, .. }) if own[1] >= own[0] => {
+                Cause::Parameter { name: self.watched[watched].clone(), before, change, error }
+            }
+            _ => match shift.output {
+                Some(c) => Cause::Output { name: self.outputs[c].clone() },
+                None => Cause::Several,
             },
-            _ => Alarm {
-                since: shift.since,
-                noticed,
-                cause: match shift.output {
-                    Some(c) => Cause::Output { name: self.outputs[c].clone() },
-                    None => Cause::Several,
-                },
-                share: own[0] / total,
-            },
-        })
+        };
+        let is_change = matches!(cause, Cause::Parameter { .. });
+        let since = if is_change { change.map_or(sample.t, |c| c.since) } else { shift.since };
+        let share = (own[usize::from(is_change)] - total).exp();
+        match &mut self.alarm {
+            None => self.alarm = Some(Alarm { since, noticed: sample.t, cause, share }),
+            // The cause stays, as an estimator follows what it is shown; the change is known better with every sample until then.
+            Some(alarm)
+                if total > self.most && since <= alarm.noticed && is_change && alarm.cause.is_of(&cause) =>
+            {
+                (alarm.since, alarm.cause, alarm.share) = (since, cause, share);
+            }
+            Some(_) => return,
+        }
+        self.most = total;
     }
 }
 

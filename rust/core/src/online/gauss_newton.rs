@@ -35,6 +35,8 @@ pub(super) struct GaussNewton {
     /// Numbers of the states with process noise, and its standard deviation after 1 s.
     driven: Vec<usize>,
     intensity: Vec<f64>,
+    /// The most that is known of each state for given parameters: the inverse of its least standard deviation.
+    most: Vec<f64>,
     segments: Vec<Segment>,
     /// Information on the state at the latest node that was reached, and on the parameters.
     pub(super) info: Triangle,
@@ -66,6 +68,7 @@ pub(super) struct Parts {
     pub(super) values: Vec<f64>,
     pub(super) bounds: Bounds,
     pub(super) driven: Vec<(usize, f64)>,
+    pub(super) most: Vec<f64>,
     pub(super) window: usize,
     pub(super) n: usize,
     pub(super) n_y: usize,
@@ -73,7 +76,7 @@ pub(super) struct Parts {
 
 impl GaussNewton {
     pub(super) fn new(parts: Parts) -> GaussNewton {
-        let Parts { map, sensors, free, values, bounds, driven, window, n, n_y } = parts;
+        let Parts { map, sensors, free, values, bounds, driven, most, window, n, n_y } = parts;
         let (p, q) = (free.len(), driven.len());
         let (m, w) = (n + p, n + p + 1);
         let mut columns: Vec<Option<usize>> = (0..n).map(Some).collect();
@@ -87,6 +90,7 @@ impl GaussNewton {
             bounds,
             driven: driven.iter().map(|d| d.0).collect(),
             intensity: driven.iter().map(|d| d.1).collect(),
+            most,
             segments: vec![Segment::new(n, p, q); window],
             info: Triangle::new(m),
             predicted: Triangle::new(m),
@@ -99,7 +103,7 @@ impl GaussNewton {
             noises: vec![0.0; q],
             outputs: vec![0.0; n_y],
             work: vec![0.0; (q + n) * (q + w)],
-            direction: Direction::new(m, n_y),
+            direction: Direction::new(n, p, n_y),
             flops: 0,
         }
     }
@@ -111,7 +115,7 @@ impl GaussNewton {
 
     /// Operations so far.
     pub(super) fn flops(&self) -> u64 {
-        self.flops + self.info.flops + self.predicted.flops + self.bounds.flops()
+        self.flops + self.info.flops + self.predicted.flops + self.bounds.flops() + self.direction.flops()
     }
 
     /// Takes values of the estimated parameters.
@@ -189,9 +193,21 @@ impl GaussNewton {
         Ok(())
     }
 
+    /// Carries the information over a segment. Without process noise the states are ever better known for given parameters, and rows
+    /// grow like the inverse of what decays, without limit; so they are cut back to what is known of a state at most.
     fn advance(&mut self, k: usize) -> Result<(), Fault> {
-        let done = self.segments[k].advance(&mut self.info, &self.driven, &mut self.work);
-        if done { Ok(()) } else { Err(Fault::Singular) }
+        if !self.segments[k].advance(&mut self.info, &self.driven, &mut self.work) {
+            return Err(Fault::Singular);
+        }
+        let w = self.info.width();
+        for (i, most) in self.most.iter().enumerate() {
+            let row = &mut self.info.r[i * w..(i + 1) * w];
+            let size = row[i].abs();
+            if size > *most {
+                row.iter_mut().for_each(|v| *v *= most / size);
+            }
+        }
+        Ok(())
     }
 
     /// Information in front of the window, counted from the present estimates.
@@ -302,17 +318,17 @@ impl GaussNewton {
         Ok(())
     }
 
-    /// Operations of the iterations after a sample, of taking it and of eliminating another, at most.
-    pub(super) fn bound(&self, window: usize, iterations: usize) -> u64 {
+    /// Operations of the iterations after a sample, of taking it and of eliminating so many others, at most.
+    pub(super) fn bound(&self, window: usize, iterations: usize, eliminated: usize) -> u64 {
         let (n, p, n_y, q) = (self.n(), self.free.len(), self.outputs.len(), self.driven.len());
         let (m, w) = (n + p, n + p + 1);
         let shift = (m * (m + 1)) as u64;
         let absorb: usize = (0..m).map(|j| 4 * (w - j) * (1 + n_y)).sum();
         let node = self.sensors.flops() + absorb as u64;
-        let segment = self.map.flops() + transition::flops(n, p, q);
+        let segment = self.map.flops() + transition::flops(n, p, q) + (n * w) as u64;
         let back = (2 * m * m + m * m + window * 2 * n * (n + m)) as u64 + self.bounds.bound();
         let pass = shift + window as u64 * node + (window as u64 - 1) * segment + back;
         let eliminate = shift + self.direction.bound() + node + segment;
-        iterations as u64 * pass + eliminate + 2 * self.map.flops()
+        iterations as u64 * pass + eliminated as u64 * eliminate + 2 * self.map.flops()
     }
 }

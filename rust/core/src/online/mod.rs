@@ -52,6 +52,7 @@ mod change;
 mod detector;
 mod error;
 mod estimate;
+mod evidence;
 mod forgetting;
 mod gauss_newton;
 mod horizon;
@@ -95,6 +96,8 @@ pub struct Online {
     detector: Option<Detector>,
     initial: Vec<Initial>,
     held: Vec<bool>,
+    /// Whether the first window is not full yet.
+    beginning: bool,
     /// Whether there is a sample before the next one.
     started: bool,
     inverse: Vec<f64>,
@@ -137,6 +140,7 @@ impl Online {
             detector,
             initial,
             held,
+            beginning: true,
             started: false,
             estimate,
         })
@@ -205,7 +209,12 @@ impl Online {
     /// as one.
     pub fn work(&self) -> u64 {
         let m = self.solver.info.m as u64;
-        let solver = self.solver.bound(self.settings.window, self.settings.iterations);
+        let Settings { window, first_window, iterations, .. } = self.settings;
+        let solver = self.solver.bound(
+            window.max(first_window),
+            iterations,
+            first_window.saturating_sub(window).max(1),
+        );
         let detector = self.detector.as_ref().map_or(0, |d| d.changes.bound());
         solver + self.innovation.bound() + detector + 2 * m * m * m / 3 + 2 * m * m
     }
@@ -286,8 +295,16 @@ impl Online {
                 self.solver.predict(&mut self.horizon.nodes[k - 1..=k])?;
             }
         }
-        if self.horizon.used > self.settings.window {
-            self.solver.eliminate_first(&mut self.horizon, &self.noise.sigma, self.settings.forgetting)?;
+        let (window, first) = (self.settings.window, self.settings.first_window);
+        let begins = self.beginning && first > window;
+        if self.horizon.used > if begins { first } else { window } {
+            while self.horizon.used > window {
+                self.solver.eliminate_first(
+                    &mut self.horizon,
+                    &self.noise.sigma,
+                    self.settings.forgetting,
+                )?;
+            }
         }
         Ok(())
     }
@@ -317,14 +334,15 @@ impl Online {
             }
             self.solver.forward(&self.horizon, &self.noise.sigma)?;
             if iterations == 0 && !self.innovation.update(&mut self.solver) {
-                return Err(Fault::Singular);
+                return Err(self.innovation.fault(&self.solver.present));
             }
             if iterations == 0 && latest {
                 self.notice();
             }
             let decrement = self.solver.backward(&mut self.horizon);
             if !decrement.is_finite() {
-                return Err(Fault::Singular);
+                let last = self.horizon.last().and_then(|node| node.x.iter().position(|x| !x.is_finite()));
+                return Err(Fault::State(last.unwrap_or(0)));
             }
             iterations += 1;
             converged = decrement < self.settings.tolerance * self.settings.tolerance;
@@ -335,6 +353,7 @@ impl Online {
         }
         self.report(latest);
         self.started = true;
+        self.beginning &= self.horizon.used < self.settings.first_window;
         let estimate = &mut self.estimate;
         (estimate.iterations, estimate.converged, estimate.in_time) = (iterations, converged, in_time);
         Ok(())

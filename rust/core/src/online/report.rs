@@ -12,7 +12,7 @@ impl Online {
         // In a window of one sample the segment is the one that was eliminated.
         let segment = self.started.then(|| self.horizon.used.saturating_sub(2));
         let sample = Sampled { t: node.t, before: self.estimate.t, theta: &self.horizon.theta, segment };
-        self.estimate.alarm = detector.update(&mut self.solver, &self.innovation, sample);
+        detector.update(&mut self.solver, &self.innovation, sample);
     }
 
     /// Fills the estimate, after the iterations.
@@ -49,6 +49,9 @@ impl Online {
                 estimate.normalised[output] = innovation.normalised[k];
                 noise.update(output, sigma * value, sigma * solver.residuals[k], keep);
             }
+        }
+        if let Some(detector) = &self.detector {
+            estimate.alarm.clone_from(&detector.alarm);
         }
         estimate.t = node.t;
         estimate.sigma.copy_from_slice(&noise.sigma);

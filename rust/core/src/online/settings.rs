@@ -17,8 +17,8 @@ pub enum Forgetting {
     /// All information on samples before the window decays with this time constant, s. What the data do not excite is forgotten as
     /// well: its standard error grows.
     Exponential(f64),
-    /// Information decays with this time constant, s, in the directions alone in which a sample brings new information (L. Cao
-    /// and H. Schwartz, *Automatica* 36, 2000). What the data do not excite is kept.
+    /// Information on parameters decays with this time constant, s, in the directions alone in which a sample brings new information
+    /// (L. Cao and H. Schwartz, *Automatica* 36, 2000). What the data do not excite is kept.
     Directional(f64),
 }
 
@@ -36,6 +36,9 @@ pub struct Settings {
     /// Samples whose states are estimated together and linearised again in each iteration. 1 is the iterated extended Kalman
     /// filter; more are estimation on a moving horizon.
     pub window: usize,
+    /// Samples at the beginning that are kept until there are so many, and estimated together as in a window of this length: the first
+    /// ones then are not linearised about start values. None where it is no longer than the window.
+    pub first_window: usize,
     /// Gauss-Newton iterations after a sample, at most.
     pub iterations: usize,
     /// A step is the last one when it changes the cost by less than the square of this, in standard deviations.
@@ -74,6 +77,7 @@ impl Default for Settings {
     fn default() -> Self {
         Settings {
             window: 1,
+            first_window: 0,
             iterations: 3,
             tolerance: 1e-3,
             sigmas: Vec::new(),
@@ -95,7 +99,7 @@ impl Default for Settings {
 
 impl Settings {
     setters! {
-        window: usize, iterations: usize, tolerance: f64, estimate_noise: bool, noise_weight: f64,
+        window: usize, first_window: usize, iterations: usize, tolerance: f64, estimate_noise: bool, noise_weight: f64,
         forgetting: Forgetting, interpolation: Interpolation, integrator: Integrator, substeps: usize, max_gap: f64;
         into deadline: Option<Duration>, into detect: Option<Detect>
     }

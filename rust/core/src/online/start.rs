@@ -17,16 +17,22 @@ use crate::model::Model;
 use crate::noise::{Density, Joint, Scale};
 
 /// Standard deviation of the start value of a parameter for which none is given, over the larger of its size and 1.
-const DIFFUSE: f64 = 1e2;
+const DIFFUSE: f64 = 10.0;
 /// Standard deviation of an initial state that is measured, over that of its measurement.
 const FLAT: f64 = 1e4;
+/// Least standard deviation of a state for given parameters, over that of its measurement, or of its initial value: far
+/// below what matters to the estimates, and far above rounding errors.
+const LEAST: f64 = 1e-5;
 /// States and noises of a segment that are made triangular without taking memory.
 const MOST_STATES: usize = 64;
 
 /// What is known of an initial state.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Initial {
+    /// The output that it starts at.
     measured: Option<Measured>,
+    /// The output that measures it.
+    scale: Option<Measured>,
     /// Value and standard deviation where no output measures it.
     otherwise: (f64, f64),
 }
@@ -94,6 +100,12 @@ fn check(settings: &Settings) -> Result<(), Error> {
         if value == 0 || value > most {
             return fail(format!("{name} is {value}; it must be from 1 to {most}"), name);
         }
+    }
+    if settings.first_window > 10_000 {
+        return fail(
+            format!("first_window is {}; it must be at most 10000", settings.first_window),
+            "first_window",
+        );
     }
     let mut sizes = vec![("tolerance", settings.tolerance), ("noise_weight", settings.noise_weight)];
     match settings.forgetting {
@@ -182,7 +194,7 @@ fn initial(model: &Model, settings: &Settings, values: &[f64]) -> Result<Vec<Ini
     let (measured, declared) = (model.measured_states(values), model.declared_paths(values));
     let start = |(measured, declared): (Option<Measured>, Option<f64>)| {
         let value = declared.unwrap_or(0.0);
-        Initial { measured, otherwise: (value, value.abs().max(1.0)) }
+        Initial { measured, scale: measured, otherwise: (value, value.abs().max(1.0)) }
     };
     let mut found: Vec<Initial> = measured.into_iter().zip(declared).map(start).collect();
     for (name, value, deviation) in &settings.initial {
@@ -191,7 +203,7 @@ fn initial(model: &Model, settings: &Settings, values: &[f64]) -> Result<Vec<Ini
             return fail(format!("the initial value of '{name}' is {value}"), name);
         }
         let deviation = positive("the standard deviation of the initial value", name, *deviation)?;
-        found[at] = Initial { measured: None, otherwise: (*value, deviation) };
+        found[at] = Initial { measured: None, otherwise: (*value, deviation), ..found[at] };
     }
     Ok(found)
 }
@@ -239,7 +251,7 @@ pub(super) fn prepare(model: &Model, settings: &Settings) -> Result<Prepared, Er
     };
     let bounds = Bounds::new(bound(|p| p.lower, f64::NEG_INFINITY), bound(|p| p.upper, f64::INFINITY));
     let theta: Vec<f64> = free.iter().map(|i| values[*i]).collect();
-    let mut horizon = Horizon::new(settings.window, n_u, n_y, n, &theta);
+    let mut horizon = Horizon::new(settings.window.max(settings.first_window), n_u, n_y, n, &theta);
     let w = horizon.arrival.width();
     for (k, i) in free.iter().enumerate() {
         horizon.arrival.r[(n + k) * w + n + k] = 1.0 / deviations[*i];
@@ -266,14 +278,20 @@ pub(super) fn prepare(model: &Model, settings: &Settings) -> Result<Prepared, Er
             Some(Detector::new(detect, outputs.clone(), watched, n, n + free.len()))
         }
     };
+    let least = |i: &Initial| {
+        let scale = i.scale.map_or(i.otherwise.1, |m| sigma[m.output] / m.slope.abs());
+        1.0 / (LEAST * scale)
+    };
+    let most = initial.iter().map(least).collect();
     let parts = Parts {
+        most,
         map,
         sensors: Sensors::new(&compiled)?,
         free,
         values,
         bounds,
         driven,
-        window: settings.window,
+        window: settings.window.max(settings.first_window),
         n,
         n_y,
     };

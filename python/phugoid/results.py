@@ -18,6 +18,8 @@ from .linear.state_space import Mode, Modes
 from .linear.trim import Trim
 from .many_starts import Multistart
 from .many_starts.optima import Optimum
+from .online.estimate import Alarm, OnlineEstimate
+from .online.history import OnlineHistory
 from .parameters import Estimate
 from .petab.problem import PetabProblem
 from .reconstruction import Reconstruction, VanePositions
@@ -35,6 +37,7 @@ from .uncertainty.profile import Profile, Profiles
 from .validation import Validation
 
 __all__ = [
+    "Alarm",
     "Bands",
     "Bootstrap",
     "Candidate",
@@ -60,6 +63,8 @@ __all__ = [
     "Mode",
     "Modes",
     "Multistart",
+    "OnlineEstimate",
+    "OnlineHistory",
     "Optimum",
     "Outcome",
     "PetabProblem",

@@ -73,16 +73,6 @@ pub enum Cause {
     },
 }
 
-impl Cause {
-    /// Whether two causes are the same, but for numbers.
-    fn is_of(&self, other: &Cause) -> bool {
-        match (self, other) {
-            (Cause::Parameter { name: a, .. }, Cause::Parameter { name: b, .. }) => a == b,
-            _ => false,
-        }
-    }
-}
-
 /// The model no longer holds.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
@@ -184,10 +174,9 @@ impl Detector {
         let share = (own[usize::from(is_change)] - total).exp();
         match &mut self.alarm {
             None => self.alarm = Some(Alarm { since, noticed: sample.t, cause, share }),
-            // The cause stays, as an estimator follows what it is shown; the change is known better with every sample until then.
-            Some(alarm)
-                if total > self.most && since <= alarm.noticed && is_change && alarm.cause.is_of(&cause) =>
-            {
+            // Later samples tell changes of parameters apart. What is wrong with an output is seen best at first, as an estimator
+            // follows what it is shown.
+            Some(alarm) if is_change && total > self.most && since <= alarm.noticed => {
                 (alarm.since, alarm.cause, alarm.share) = (since, cause, share);
             }
             Some(_) => return,

@@ -101,9 +101,7 @@ impl Triangle {
         for i in 0..m {
             b[i] /= self.r[i * w + i];
             let v = b[i];
-            for j in i + 1..m {
-                b[j] -= self.r[i * w + j] * v;
-            }
+            b[i + 1..m].iter_mut().zip(&self.r[i * w + i + 1..]).for_each(|(b, r)| *b -= r * v);
         }
         self.flops += (m * m) as u64;
     }
@@ -111,8 +109,8 @@ impl Triangle {
     /// R v, into `out`.
     pub(super) fn product(&mut self, v: &[f64], out: &mut [f64]) {
         let (m, w) = (self.m, self.width());
-        for i in 0..m {
-            out[i] = (i..m).map(|j| self.r[i * w + j] * v[j]).sum();
+        for (i, out) in out.iter_mut().enumerate() {
+            *out = (i..m).map(|j| self.r[i * w + j] * v[j]).sum();
         }
         self.flops += (m * (m + 1)) as u64;
     }
@@ -121,10 +119,8 @@ impl Triangle {
     pub(super) fn transposed_product(&mut self, v: &[f64], out: &mut [f64]) {
         let (m, w) = (self.m, self.width());
         out.fill(0.0);
-        for i in 0..m {
-            for j in i..m {
-                out[j] += self.r[i * w + j] * v[i];
-            }
+        for (i, v) in v.iter().enumerate() {
+            out[i..m].iter_mut().zip(&self.r[i * w + i..]).for_each(|(out, r)| *out += r * v);
         }
         self.flops += (m * (m + 1)) as u64;
     }

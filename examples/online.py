@@ -16,6 +16,7 @@ Writes out/online.png, the error over time, and out/online_parameters.png. Print
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -85,9 +86,10 @@ def extended_kalman_filter(t: Array, u: Array, y: Array, spread: Array) -> Array
     def measured(z: Array, k: int) -> Array:
         return outputs(z[:4], u[k], z[4:])
 
-    def jacobian(function: object, z: Array, k: int) -> Array:
+    def jacobian(function: Callable[[Array, int], Array], z: Array, k: int) -> Array:
         steps = 1e-6 * np.maximum(np.abs(z), 1e-2)
-        columns = [(function(z + d, k) - function(z - d, k)) / (2 * s) for d, s in zip(np.diag(steps), steps, strict=True)]  # type: ignore[operator]
+        pairs = zip(np.diag(steps), steps, strict=True)
+        columns = [(function(z + d, k) - function(z - d, k)) / (2 * s) for d, s in pairs]
         return np.stack(columns, axis=1)
 
     z = np.concatenate([y[0, :4], np.zeros(15)])
@@ -109,7 +111,8 @@ def extended_kalman_filter(t: Array, u: Array, y: Array, spread: Array) -> Array
 
 def recursive_least_squares(u: Array, y: Array, spread: Array) -> Array:
     """Return the derivatives after each sample (N, 11), by regression of measured accelerations on measured states."""
-    V, alpha, _, q, aq, ax, az = y.T
+    # A regression cannot tell the biases of sensors from CD0, CL0 and Cm0: it is given them.
+    V, alpha, _, q, aq, ax, az = (y - np.array([0, 0, 0, *(PUBLISHED[n] for n in NAMES[11:])])).T
     pressure, pull, one, dv = 0.5 * RHO * V**2, u[:, 1] / MASS, np.ones_like(V), V / V_REF - 1
     fx, fz = ax - pull * np.cos(EPSILON), az + pull * np.sin(EPSILON)
     drag = -(fx * np.cos(alpha) + fz * np.sin(alpha)) / (pressure * S_M)
@@ -154,16 +157,18 @@ def main() -> None:
     fit = ph.estimate(model(), data, noise=ph.Gaussian(sigma=SIGMA))
     errors = np.array([fit.parameters[n].std_error for n in DERIVATIVES])
     histories = {
-        window: ph.Online(model(), window=window, sigma=SIGMA, parameter_errors=SPREAD).run(data) for window in (1, 60)
+        window: ph.Online(model(), window=window, first_window=first, sigma=SIGMA, parameter_errors=SPREAD).run(data)
+        for window, first in ((1, 0), (60, 0), (2, 100))
     }
 
-    def derivatives(history: object) -> Array:
-        return np.stack([history.parameters[n] for n in DERIVATIVES], axis=1)  # type: ignore[attr-defined]
+    def derivatives(history: ph.results.OnlineHistory) -> Array:
+        return np.stack([history.parameters[n] for n in DERIVATIVES], axis=1)
 
     series = {
         "recursive least squares, equation error": recursive_least_squares(u, y, spread),
         "augmented extended Kalman filter": extended_kalman_filter(data.t, u, y, spread)[:, :11],
         "Online, window of 1": derivatives(histories[1]),
+        "Online, window of 2, first one of 100": derivatives(histories[2]),
         "Online, window of 60": derivatives(histories[60]),
     }
     batch = np.array([fit.parameters[n].value for n in DERIVATIVES])
@@ -177,7 +182,7 @@ def main() -> None:
     import matplotlib.pyplot as plt
 
     args.out.mkdir(exist_ok=True)
-    colours = ("#999999", "#E69F00", "#0072B2", "#D55E00")
+    colours = ("#999999", "#E69F00", "#0072B2", "#009E73", "#D55E00")
     figure, (above, below) = plt.subplots(
         2, 1, figsize=(7.2, 4.6), height_ratios=(3, 1), sharex=True, layout="constrained"
     )

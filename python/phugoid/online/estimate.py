@@ -17,11 +17,11 @@ _Array = NDArray[np.float64]
 class Alarm:
     """The model no longer holds.
 
-    ``since``: time from which on it does not, as far as can be said, in s. ``noticed``: time of the sample at which that was
-    noticed. ``kind``: "parameter" where a watched parameter changed, "output" where the innovations of one output have another mean
-    or variance, "several" where those of several outputs do; ``name``: the parameter or output. ``before``, ``change``, ``error``:
-    of a parameter, its value before, the change and its standard error, else NaN. ``share``: part of the evidence that belongs to
-    this kind of change.
+    ``since``: time from which on it does not, as far as can be said, in s. ``noticed``: time of the sample at which
+    that was noticed. ``kind``: "parameter" where a watched parameter changed, "output" where the innovations of one
+    output have another mean or variance, "several" where those of several outputs do; ``name``: the parameter or
+    output. ``before``, ``change``, ``error``: of a parameter, its value before, the change and its standard error,
+    else NaN. ``share``: part of the evidence that belongs to this kind of change.
     """
 
     since: float
@@ -46,14 +46,17 @@ class Alarm:
 class OnlineEstimate:
     """The estimate after a sample, by name.
 
-    ``t``: time of the latest sample, in s, which states refer to. ``states``, ``parameters``: values; ``state_errors`` and
-    ``parameter_errors``: their standard errors, 0 for a fixed parameter. ``covariance`` (m, m): of the states, then the estimated
-    parameters, in their order in the model. ``sigma``: standard deviations of the measurement noise. ``innovations``: measured
-    outputs minus their predictions from all samples before, NaN where missing; ``innovation_errors``: their standard deviations;
+    ``t``: time of the latest sample, in s, which states refer to. ``states``, ``parameters``: values;
+    ``state_errors`` and
+    ``parameter_errors``: their standard errors, 0 for a fixed parameter. ``covariance`` (m, m): of the states, then
+    the estimated parameters, in their order in the model. ``sigma``: standard deviations of the measurement noise.
+    ``innovations``: measured outputs minus their predictions from all samples before, NaN where missing;
+    ``innovation_errors``: their standard deviations;
     ``normalised``: innovations made independent, with unit variances. ``at_bound``: parameters that lie at a bound.
     ``arrival``: "latest", "late" for a sample that was put into the window, "too late" for one that was not used.
-    ``iterations``, ``converged``, ``in_time``: Gauss-Newton iterations done, whether the last step was below the tolerance, and
-    whether they ended without the deadline. ``alarm``: what the detector says, None while the model holds.
+    ``iterations``, ``converged``, ``in_time``: Gauss-Newton iterations done, whether the last step was below the
+    tolerance, and whether they ended without the deadline. ``alarm``: what the detector says, None while the model
+    holds.
     """
 
     t: float

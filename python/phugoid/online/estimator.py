@@ -28,12 +28,13 @@ _INTEGRATORS = ("euler", "heun", "kutta", "rk4", "dopri5")
 class Detect:
     """A running test whether the model still holds, and what has changed where it does not.
 
-    It is the Shiryaev-Roberts test of the normalised innovations, for shifts of the mean and larger variances of each output, and for
-    steps of the watched parameters (likelihood ratios after Willsky and Jones, 1976).
+    It is the Shiryaev-Roberts test of the normalised innovations, for shifts of the mean and larger variances of each
+    output, and for steps of the watched parameters (likelihood ratios after Willsky and Jones, 1976).
 
-    ``mean_samples``: mean number of samples between two false alarms, at least; at f Hz an hour has 3600 f. ``after``: time from
-    the first sample until the test begins, in s; choose it so that the estimates have left their start values. ``watch``: parameters
-    that may change. ``onsets``: possible onsets of a change that are followed side by side, ``spacing``: samples between two of them.
+    ``mean_samples``: mean number of samples between two false alarms, at least; at f Hz an hour has 3600 f.
+    ``after``: time from the first sample until the test begins, in s; choose it so that the estimates have left their
+    start values. ``watch``: parameters that may change. ``onsets``: possible onsets of a change that are followed
+    side by side, ``spacing``: samples between two of them.
     ``change``: standard deviation of a change, relative to the parameter.
     """
 
@@ -48,26 +49,29 @@ class Detect:
 class Online:
     """An estimator that takes one sample after the other.
 
-    It estimates the states and all free parameters of a model. With ``window=1`` it is the iterated extended Kalman filter with the
-    parameters as further unknowns (Jategaonkar, Flight Vehicle System Identification, chapter 7), with a longer window estimation on
-    a moving horizon (Rao, Rawlings and Mayne, 2003), both in square-root information form (Bierman, 1977).
+    It estimates the states and all free parameters of a model. With ``window=1`` it is the iterated extended Kalman
+    filter with the parameters as further unknowns (Jategaonkar, Flight Vehicle System Identification, chapter 7),
+    with a longer window estimation on a moving horizon (Rao, Rawlings and Mayne, 2003), both in square-root
+    information form (Bierman, 1977).
 
-    ``window``: samples whose states are estimated together. ``first_window``: samples at the beginning that are kept until there are
-    so many, and estimated together, so that they are not linearised about start values. ``iterations``: Gauss-Newton iterations after a sample, at most;
-    ``tolerance``: a step that changes the cost by less than its square is the last one. ``sigma``: standard deviations of the
-    measurement noise by output, where the model does not declare them; ``estimate_noise``: whether they are estimated from there on,
-    as if they came from ``noise_weight`` samples. ``parameter_errors``: standard deviations of the start values of parameters;
-    others have that of their prior, or else 10 times the larger of 1 and their size. ``initial``: initial states, each with its
-    standard deviation; others start at the first sample of the output that measures them. ``process_noise``: by state, the standard
-    deviation that a random walk has after 1 s, in the unit of the state. ``forgetting``: None, or ("exponential", time constant in
-    s) for all old information, or ("directional", time constant) in the directions alone in which samples bring new information (Cao
-    and Schwartz, 2000). ``interpolation``: inputs between samples, "linear" or "hold". ``integrator``, ``substeps``: the
-    Runge-Kutta method and its steps between two samples. ``max_gap``: longest time without a sample, in s; a longer one is an
-    error. ``deadline``: time for a sample, in s: no further iteration begins that would take longer. ``detect``: a test whether the
-    model still holds.
+    ``window``: samples whose states are estimated together. ``first_window``: samples at the beginning that are kept
+    until there are so many, and estimated together, so that they are not linearised about start values.
+    ``iterations``: Gauss-Newton iterations after a sample, at most;
+    ``tolerance``: a step that changes the cost by less than its square is the last one. ``sigma``: standard
+    deviations of the measurement noise by output, where the model does not declare them; ``estimate_noise``: whether
+    they are estimated from there on, as if they came from ``noise_weight`` samples. ``parameter_errors``: standard
+    deviations of the start values of parameters; others have that of their prior, or else 10 times the larger of 1
+    and their size. ``initial``: initial states, each with its standard deviation; others start at the first sample of
+    the output that measures them. ``process_noise``: by state, the standard deviation that a random walk has after 1
+    s, in the unit of the state. ``forgetting``: None, or ("exponential", time constant in s) for all old information,
+    or ("directional", time constant) in the directions alone in which samples bring new information (Cao and
+    Schwartz, 2000). ``interpolation``: inputs between samples, "linear" or "hold". ``integrator``, ``substeps``: the
+    Runge-Kutta method and its steps between two samples. ``max_gap``: longest time without a sample, in s; a longer
+    one is an error. ``deadline``: time for a sample, in s: no further iteration begins that would take longer.
+    ``detect``: a test whether the model still holds.
 
-    Raises OptionError for an option that is out of range or names what the model does not have, ModelError for a model that is
-    incomplete.
+    Raises OptionError for an option that is out of range or names what the model does not have, ModelError for a
+    model that is incomplete.
     """
 
     def __init__(
@@ -113,7 +117,10 @@ class Online:
             (float(tolerance), float(noise_weight), float(max_gap)),
             list(_sigmas(model, sigma or {}).items()),
             bool(estimate_noise),
-            [(n, finite(f"Online: parameter_errors of '{n}'", v, OptionError)) for n, v in (parameter_errors or {}).items()],
+            [
+                (n, finite(f"Online: parameter_errors of '{n}'", v, OptionError))
+                for n, v in (parameter_errors or {}).items()
+            ],
             [(n, float(value), float(error)) for n, (value, error) in (initial or {}).items()],
             [(n, finite(f"Online: process_noise of '{n}'", v, OptionError)) for n, v in (process_noise or {}).items()],
             None if forgetting is None else (forgetting[0], float(forgetting[1])),
@@ -137,18 +144,17 @@ class Online:
         states, parameters = list(self._model.state_names), list(self._model.parameter_names)
         return estimate_of(self._core.estimate(), states, parameters, self._outputs)
 
-    def push(
-        self, t: float, inputs: Mapping[str, float] | ArrayLike, outputs: Mapping[str, float] | ArrayLike
-    ) -> None:
+    def push(self, t: float, inputs: Mapping[str, float] | ArrayLike, outputs: Mapping[str, float] | ArrayLike) -> None:
         """Take a sample: its time in s, inputs and measured outputs.
 
-        ``inputs`` and ``outputs`` are values by name, or arrays (n_u,) and (n_y,) in the order of the model, which take less
-        time. An output that is NaN, or not among the names, is missing. A sample that is older than the latest one and within the
-        window is put in there; its inputs may be NaN. An older one is not used: ``estimate.arrival`` then is "too late".
+        ``inputs`` and ``outputs`` are values by name, or arrays (n_u,) and (n_y,) in the order of the model, which
+        take less time. An output that is NaN, or not among the names, is missing. A sample that is older than the
+        latest one and within the window is put in there; its inputs may be NaN. An older one is not used:
+        ``estimate.arrival`` then is "too late".
 
-        Raises DataError for wrong names or numbers of values, for values that are not finite, for a time that repeats, jumps back or
-        comes after a gap longer than ``max_gap``, EvaluationError where the equations are not finite at the estimates. The
-        estimator then is as it was before.
+        Raises DataError for wrong names or numbers of values, for values that are not finite, for a time that
+        repeats, jumps back or comes after a gap longer than ``max_gap``, EvaluationError where the equations are not
+        finite at the estimates. The estimator then is as it was before.
         """
         self._core.push(float(t), self._row(inputs, self._inputs, "input"), self._row(outputs, self._outputs, "output"))
 
@@ -185,7 +191,8 @@ class Online:
         )
 
     def restart(self) -> None:
-        """End the record: what follows is a new one, with new states and the same parameters, on which all information is kept."""
+        """End the record: what follows is a new one, with new states and the same parameters, on which all
+        information is kept."""
         self._core.restart()
 
     def acknowledge(self) -> None:
@@ -208,7 +215,9 @@ class Online:
             values = [values.get(name, float("nan")) for name in names]
         row = np.ascontiguousarray(values, dtype=np.float64)
         if row.shape != (len(names),):
-            raise DataError(f"Online: {kind}s have the shape {row.shape}, the model has {len(names)}: {', '.join(names)}")
+            raise DataError(
+                f"Online: {kind}s have the shape {row.shape}, the model has {len(names)}: {', '.join(names)}"
+            )
         return row
 
 
@@ -219,12 +228,16 @@ def _sigmas(model: Model, given: Mapping[str, float]) -> dict[str, float]:
         raise OptionError("Online: the noise of the model must be Gaussian and independent")
     for name in given:
         if name not in model.output_names:
-            raise OptionError(f"Online: sigma: the model has no output '{name}'.{did_you_mean(name, model.output_names)}")
+            raise OptionError(
+                f"Online: sigma: the model has no output '{name}'.{did_you_mean(name, model.output_names)}"
+            )
     found: dict[str, float] = {}
     for name in model.output_names:
         value: Any = given[name] if name in given else noise.sigma.get(name)
         value = getattr(value, "start", value)
         if value is None:
-            raise OptionError(f"Online: give the standard deviation of the noise of output '{name}': sigma={{{name!r}: ...}}")
+            raise OptionError(
+                f"Online: give the standard deviation of the noise of output '{name}': sigma={{{name!r}: ...}}"
+            )
         found[name] = positive(f"Online: sigma of '{name}'", value)
     return found

@@ -25,8 +25,10 @@ _Array = NDArray[np.float64]
 class OnlineHistory:
     """Estimates after each of N samples, arrays (N,) by name.
 
-    ``t``: times, in s. ``states``, ``parameters``, ``sigma``, ``innovations`` and ``normalised`` as in `OnlineEstimate`, with
-    ``state_errors``, ``parameter_errors`` and ``innovation_errors``. ``iterations``: Gauss-Newton iterations of each sample.
+    ``t``: times, in s. ``states``, ``parameters``, ``sigma``, ``innovations`` and ``normalised`` as in
+    `OnlineEstimate`, with
+    ``state_errors``, ``parameter_errors`` and ``innovation_errors``. ``iterations``: Gauss-Newton iterations of each
+    sample.
     ``alarm``: what the detector says at the end.
     """
 
@@ -48,9 +50,9 @@ class OnlineHistory:
     ) -> tuple[Figure, Panels]:
         """Plot parameters over time with a band of two standard errors.
 
-        ``names``: the parameters, all by default. ``reference``: values to compare with, such as those of a fit of the whole
-        record. Vertical axes show the last three quarters of the time in full. Returns the figure and its axes by name. Raises
-        OptionError for a name that is no parameter.
+        ``names``: the parameters, all by default. ``reference``: values to compare with, such as those of a fit of
+        the whole record. Vertical axes show the last three quarters of the time in full. Returns the figure and its
+        axes by name. Raises OptionError for a name that is no parameter.
         """
         names = list(self.parameters) if names is None else list(names)
         for name in names:

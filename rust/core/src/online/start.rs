@@ -15,6 +15,7 @@ use crate::interpolate::Interpolation;
 use crate::measured::Measured;
 use crate::model::Model;
 use crate::noise::{Density, Joint, Scale};
+use crate::parameter::Parameter;
 
 /// Standard deviation of the start value of a parameter for which none is given, over the larger of its size and 1.
 const DIFFUSE: f64 = 10.0;
@@ -173,7 +174,7 @@ fn sigmas(model: &Model, settings: &Settings) -> Result<Vec<f64>, Error> {
 /// Means and standard deviations of the parameters, or 0 for a fixed one.
 fn priors(model: &Model, settings: &Settings) -> Result<Vec<f64>, Error> {
     let names: Vec<&str> = model.parameters.iter().map(|p| p.name.as_str()).collect();
-    let one = |p: &crate::Parameter| match p.prior {
+    let one = |p: &Parameter| match p.prior {
         _ if p.fixed => 0.0,
         Some((_, deviation)) => deviation,
         None => DIFFUSE * p.start.abs().max(1.0),
@@ -221,8 +222,8 @@ pub(super) fn prepare(model: &Model, settings: &Settings) -> Result<Prepared, Er
     let (n, n_u, n_y) = (model.states.len(), model.inputs.len(), model.outputs.len());
     let sigma = sigmas(model, settings)?;
     let deviations = priors(model, settings)?;
-    let start = |p: &crate::Parameter| p.prior.filter(|_| !p.fixed).map_or(p.start, |prior| prior.0);
-    let within = |p: &crate::Parameter| {
+    let start = |p: &Parameter| p.prior.filter(|_| !p.fixed).map_or(p.start, |prior| prior.0);
+    let within = |p: &Parameter| {
         start(p).max(p.lower.unwrap_or(f64::NEG_INFINITY)).min(p.upper.unwrap_or(f64::INFINITY))
     };
     let values: Vec<f64> = model.parameters.iter().map(within).collect();
@@ -246,7 +247,7 @@ pub(super) fn prepare(model: &Model, settings: &Settings) -> Result<Prepared, Er
     }
     let held = vec![settings.interpolation == Interpolation::Hold; n_u];
     let map = Map::new(&compiled, settings.integrator, settings.substeps, held.clone())?;
-    let bound = |own: fn(&crate::Parameter) -> Option<f64>, none: f64| {
+    let bound = |own: fn(&Parameter) -> Option<f64>, none: f64| {
         free.iter().map(|i| own(&model.parameters[*i]).unwrap_or(none)).collect::<Vec<f64>>()
     };
     let bounds = Bounds::new(bound(|p| p.lower, f64::NEG_INFINITY), bound(|p| p.upper, f64::INFINITY));

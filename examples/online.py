@@ -3,10 +3,10 @@
 A simulated record of the HFB-320 with known parameters is streamed. Three estimators start from all derivatives 0:
 
 - `ph.Online`, as an iterated extended Kalman filter (a window of one sample), and on a moving horizon;
-- recursive least squares on the equation error (V. Klein and E. A. Morelli, Aircraft System Identification, chapter 8): angular
-  acceleration and specific forces are regressed on measured states;
-- an extended Kalman filter with the parameters as further states (R. V. Jategaonkar, Flight Vehicle System Identification, chapter
-  7), with a covariance, Jacobians by finite differences and no iterations.
+- recursive least squares on the equation error (V. Klein and E. A. Morelli, Aircraft System Identification, chapter 8):
+  angular acceleration and specific forces are regressed on measured states;
+- an extended Kalman filter with the parameters as further states (R. V. Jategaonkar, Flight Vehicle System
+  Identification, chapter 7), with a covariance, Jacobians by finite differences and no iterations.
 
     python examples/online.py
 
@@ -71,7 +71,7 @@ def outputs(x: Array, u: Array, p: Array) -> Array:
 
 
 def extended_kalman_filter(t: Array, u: Array, y: Array, spread: Array) -> Array:
-    """Return the parameters after each sample (N, 15): states and parameters in one vector, a covariance, no iterations."""
+    """Return the parameters after each sample (N, 15), which are states of a filter without iterations."""
     sigma = np.array(list(SIGMA.values()))
 
     def ahead(z: Array, k: int) -> Array:

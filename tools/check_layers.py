@@ -23,8 +23,8 @@ RUST = [
 PYTHON = [
     "_core", "errors", "renamed", "time_unit", "progress", "notebook", "writing", "tabular", "functions", "parameters",
     "modelling", "data", "transcription", "filter_error", "initialisation", "solvers", "records", "fit_result",
-    "goodness_of_fit", "figures", "regression", "estimation", "simulation", "online", "steady_state", "linear", "models",
-    "export", "saving", "residual_noise", "sensitivities", "frozen_model", "validation", "design", "pages",
+    "goodness_of_fit", "figures", "regression", "estimation", "simulation", "online", "steady_state", "linear",
+    "models", "export", "saving", "residual_noise", "sensitivities", "frozen_model", "validation", "design", "pages",
     "discrepancy", "uncertainty",
     "summary", "report", "diagnosis", "result", "api", "diagnosing", "many_starts", "reconstruction", "petab",
     "results", "cli", "__init__", "__main__",

@@ -17,7 +17,7 @@ RUST = [
     "math", "simd", "interrupt", "dense", "setters", "index", "lgl", "interpolate", "table", "error", "threads",
     "pairs", "expr", "tape", "transform", "parameter", "nlp", "noise", "condition", "constant", "model", "evaluator",
     "experiment", "gaps", "measured", "mesh", "integrate", "problem", "collocation", "shooting", "filter", "linalg",
-    "solver", "initial", "diagnosis", "simulate", "estimate", "online",
+    "solver", "initial", "diagnosis", "simulate", "estimate", "fleet", "online",
 ]
 
 PYTHON = [
@@ -26,7 +26,7 @@ PYTHON = [
     "goodness_of_fit", "figures", "regression", "estimation", "simulation", "online", "steady_state", "linear",
     "models", "export", "saving", "residual_noise", "sensitivities", "frozen_model", "validation", "design", "pages",
     "discrepancy", "uncertainty",
-    "summary", "report", "diagnosis", "result", "api", "diagnosing", "many_starts", "reconstruction", "petab",
+    "summary", "report", "diagnosis", "result", "fleet", "api", "diagnosing", "many_starts", "reconstruction", "petab",
     "results", "cli", "__init__", "__main__",
 ]
 # fmt: on

@@ -53,6 +53,8 @@ if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES; a name imported `as
     from .export import export_c as export_c
     from .export.fmu import export_fmu as export_fmu
     from .filter_error import FilterError as FilterError
+    from .fleet.missing import missing_effects as missing_effects
+    from .fleet.runs import Run as Run
     from .functions import *  # noqa: F403
     from .goodness_of_fit import Tolerance as Tolerance
     from .goodness_of_fit import match as match
@@ -103,6 +105,8 @@ _PLACES = {
     "export": "export_c",
     "export.fmu": "export_fmu",
     "filter_error": "FilterError",
+    "fleet.missing": "missing_effects",
+    "fleet.runs": "Run",
     "functions": "Table acos asin atan atan2 cos cosh exp expm1 from_sympy hypot log log1p maximum minimum sign sin "
     "sinh smooth_abs smooth_max smooth_min smooth_sign smooth_step sqrt tan tanh where",
     "goodness_of_fit": "Tolerance match",

@@ -511,6 +511,28 @@ def gap_warnings(inputs: Sequence[str], experiments: Sequence[_Record]) -> list[
 def interpolate(kind: str, t: Sequence[float], values: Sequence[float], at: Sequence[float]) -> list[float]: ...
 
 @final
+class Share:
+    def __new__(
+        cls,
+        model: Model,
+        noise: str,
+        mesh: tuple[int, tuple[str, int, list[float] | None]],
+        threads: int,
+        spreads: Sequence[float],
+        priors: bool,
+    ) -> Share: ...
+    def variables(
+        self, record: _Record, start: Sequence[tuple[str, float]]
+    ) -> list[tuple[str, float, tuple[float, float]]]: ...
+    def evaluate(
+        self, records: Sequence[_Record], at: _Array, described: bool, gauss_newton: bool
+    ) -> dict[str, Any]: ...
+    def population(self, name: str, mean: float, std: float) -> None: ...
+    def report(self, record: _Record, at: _Array, covariance: _Array) -> tuple[list[Any], _Array]: ...
+    @property
+    def bytes(self) -> int: ...
+
+@final
 class Online:
     def __new__(
         cls,

@@ -12,6 +12,9 @@ from .discrepancy.misfit.misfit import Misfit
 from .discrepancy.search.finding import Finding, Gain, Scored
 from .estimation.starts import Outcome
 from .fit_result import FitResult, Refinement, Smoothing
+from .fleet.missing import MissingEffect, MissingEffects
+from .fleet.population import Population
+from .fleet.result import FleetFit, FlightResult, Unlike
 from .goodness_of_fit import Match
 from .linear.response import FrequencyResponse
 from .linear.state_space import Mode, Modes
@@ -51,6 +54,8 @@ __all__ = [
     "Extension",
     "Finding",
     "FitResult",
+    "FleetFit",
+    "FlightResult",
     "FrequencyResponse",
     "Gain",
     "Improvement",
@@ -60,6 +65,8 @@ __all__ = [
     "Manoeuvres",
     "Match",
     "Misfit",
+    "MissingEffect",
+    "MissingEffects",
     "Mode",
     "Modes",
     "Multistart",
@@ -72,6 +79,7 @@ __all__ = [
     "Plan",
     "Plans",
     "Points",
+    "Population",
     "Profile",
     "Profiles",
     "Reconstruction",
@@ -82,6 +90,7 @@ __all__ = [
     "SelectionStep",
     "Smoothing",
     "Trim",
+    "Unlike",
     "Validation",
     "VanePositions",
     "WeakDirection",

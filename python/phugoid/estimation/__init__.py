@@ -45,36 +45,7 @@ def estimate(
 ) -> FitResult:
     """Estimate the parameters of a model from measured data by maximum likelihood: the output-error method.
 
-    ``data``: one experiment or several with shared parameters. Initial states are free.
-    ``start``: values by name of parameters, of ``sigma_<output>`` (and what else the noise has) and of states (a number
-    or one value a sample), or a fit to go on from, or the result of `equation_error`. Parameters not named start as
-    declared, standard deviations at the spread of the measurements, states as measured where an output measures them,
-    else as declared (`State`, `Model.initial`), else at 0, or at 1 where the model has no finite derivative at 0.
-    ``transcription``: `Collocation`, `MultipleShooting` or `SingleShooting`, or `FilterError` where there is process
-    noise, such as turbulence; the latter has a solver of its own.
-    ``noise``: `Gaussian`, `StudentT`, `Huber`, `Laplace`, `Density` or `PerOutput`, or `PerExperiment` of these,
-    instead of the model's own.
-    ``solver``: `Newton` unless asked otherwise.
-    ``progress``: True prints the iterations; a function is called with each.
-
-    Where jumps or kinks of the state equations (`sign`, `abs`, `where`, ...) keep a fit by `Collocation` from
-    converging, or are crossed where its mesh is too coarse for them, they are smoothed, over widths that are reduced
-    from fit to fit until the error of smoothing is small compared with the standard errors. `Fit.smoothing` and the
-    message say so.
-
-    Where a run by `Collocation` with `Newton` ends without an optimum, or at one at which no output is matched well
-    (R² below 0.5), other ways from the same start are tried in turn: where outputs are densely sampled and ``start`` is
-    not a fit, estimates with output injection (states are driven towards the measurements, with a gain that falls to
-    zero), a regression on the initial paths of the states, steps along paths that satisfy the equations, the exact
-    Hessian, and the restarts that ``Newton(restarts=...)`` asks for. The message says which one led to the result.
-    A fit without ``solver`` and ``start`` is first tried with the noise fixed at the spread of the measurements, too;
-    a warning says where the likelihood was higher before. ``max_iterations`` below 200 leaves all this out.
-
-    Ctrl-C ends the run and returns the best point so far, with status "interrupted". Pressed once more, while its
-    standard errors are computed, it leaves these out (NaN, and a warning); a third time, it raises KeyboardInterrupt.
-
-    Raises ModelError, DataError or OptionError for what cannot be right, EvaluationError where the model is not
-    finite at the start. A fit that does not converge has a status that says so; this is no error.
+    What `phugoid.estimate` does, whose options these are, but that output injection is not tried.
     """
     if isinstance(model, Model):
         model = model.copy()  # what is declared on the user's own afterwards is not a part of this fit

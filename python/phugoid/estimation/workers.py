@@ -35,8 +35,10 @@ __all__ = [
     "Crew",
     "Runs",
     "Watch",
+    "again",
     "collect",
     "common_to",
+    "is_loss",
     "run_all",
 ]
 
@@ -244,7 +246,7 @@ class Crew:
                 self._heard = True
                 return outcome
             error = CancelledError("the worker was interrupted")
-        elif not _is_loss(error):
+        elif not is_loss(error):
             raise error
         self._run_again.add(task.index)
         if task.deaths == _ALONE:
@@ -258,7 +260,7 @@ class Crew:
 
     def _replace(self) -> None:
         """Return a new pool in place of the broken one, if it works."""
-        fresh = _again(self.executor)
+        fresh = again(self.executor)
         self._dismiss(wait=False)
         if fresh is None:
             self._end("it is broken, and no other of its kind could be made")
@@ -289,13 +291,13 @@ def _failure(future: Future[Any]) -> BaseException | None:
     return CancelledError("cancelled") if future.cancelled() else future.exception()
 
 
-def _is_loss(error: BaseException) -> bool:
+def is_loss(error: BaseException) -> bool:
     """Return whether an error concerns the worker rather than the task."""
     lost = (BrokenExecutor, CancelledError, KeyboardInterrupt, SystemExit)
     return isinstance(error, lost) or type(error).__module__.partition(".")[0] == "distributed"
 
 
-def _again(executor: Executor | None) -> Executor | None:
+def again(executor: Executor | None) -> Executor | None:
     """Another pool of processes like the one given; None for any other executor."""
     from concurrent.futures import ProcessPoolExecutor
 

@@ -90,6 +90,7 @@
 //! | `diagnosis` | covariance, and what the data leave open |
 //! | [`simulate`] | what a model says for given parameters |
 //! | [`estimate`] | all of it in one call |
+//! | [`fleet`] | estimation from many records, on many machines: what a worker computes of its share |
 //! | [`online`] | estimation while the data arrive: states, parameters and noise after each sample |
 //!
 //! # Features
@@ -111,6 +112,7 @@ mod evaluator;
 mod experiment;
 pub mod expr;
 pub mod filter;
+pub mod fleet;
 mod gaps;
 mod index;
 mod initial;

@@ -16,7 +16,7 @@ use crate::model::PyModel;
 use crate::newton::PySolution;
 
 /// An estimate: name, value, standard error, unit, bounds, and "lower", "upper" or "fixed" for what keeps it.
-type Estimated = (String, f64, f64, String, (f64, f64), Option<&'static str>);
+pub type Estimated = (String, f64, f64, String, (f64, f64), Option<&'static str>);
 
 type Array<'py> = Bound<'py, PyArray1<f64>>;
 
@@ -34,7 +34,7 @@ type MovedRecord<'py> = (
 #[pyclass(name = "Fit", module = "phugoid._core", frozen)]
 pub struct PyFit(pub Fit);
 
-fn estimated(e: &Estimate) -> Estimated {
+pub fn estimated(e: &Estimate) -> Estimated {
     let kept = e.bound.map(|b| match b {
         Limit::Lower => "lower",
         Limit::Upper => "upper",

@@ -7,6 +7,7 @@ mod evaluator;
 mod expr;
 mod filter;
 mod fit;
+mod fleet;
 mod interrupt;
 mod memory;
 mod model;
@@ -38,6 +39,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<filter::PyFilter>()?;
     m.add_class::<fit::PyFit>()?;
     m.add_class::<newton::PySolution>()?;
+    m.add_class::<fleet::PyShare>()?;
     m.add_class::<online::PyOnline>()?;
     m.add_class::<whitening::PyWhitening>()?;
     m.add_function(wrap_pyfunction!(whitening::burg, m)?)?;

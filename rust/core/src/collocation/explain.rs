@@ -101,7 +101,7 @@ impl Collocation {
         let names: Vec<String> = self.posed.state_names.iter().cloned().chain(self.posed.seen()).collect();
         for is_output in [false, true] {
             let (what, function) = if is_output {
-                ("an output", &self.posed.outputs)
+                ("an output", &*self.posed.outputs)
             } else {
                 ("a state equation", &*self.posed.f)
             };

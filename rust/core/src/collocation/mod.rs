@@ -133,11 +133,34 @@ impl Collocation {
             settings.noise_per_experiment,
             Pairs::Summed,
         )?;
-        let meshes = meshes(experiments, settings)?;
-        let layout = Layout::new(posed.parameters.len(), model.states.len(), &meshes);
+        let problem = Self::laid_out(posed, settings)?;
         let ends = |mesh: &Mesh| (mesh.n_mesh - 1, [mesh.times[0], mesh.times[mesh.n_mesh - 1]]);
-        let ends: Vec<_> = meshes.iter().map(ends).collect();
-        let boundary = Boundary::new(model, written, experiments, &ends, ConstraintId(layout.m()))?;
+        let ends: Vec<_> = problem.meshes.iter().map(ends).collect();
+        let boundary = Boundary::new(model, written, experiments, &ends, ConstraintId(problem.layout.m()))?;
+        Ok(problem.with_derivatives(boundary))
+    }
+
+    /// Transcribes the problem of another experiment with the functions that are compiled for this one's; `None` where they
+    /// do not serve ([`Posed::of_another`]), or where there are conditions on the ends of records.
+    ///
+    /// # Errors
+    /// When the data do not fit the model.
+    pub(crate) fn of_another(
+        &self,
+        experiment: &Experiment,
+        settings: &Settings,
+    ) -> Result<Option<Self>, Error> {
+        if self.boundary.is_some() {
+            return Ok(None);
+        }
+        let Some(posed) = self.posed.of_another(experiment)? else { return Ok(None) };
+        Ok(Some(Self::laid_out(posed, settings)?.with_derivatives(None)))
+    }
+
+    /// The meshes of a problem, its variables and its data.
+    fn laid_out(posed: Posed, settings: &Settings) -> Result<Self, Error> {
+        let meshes = meshes(posed.experiments.as_slice(), settings)?;
+        let layout = Layout::new(posed.parameters.len(), posed.state_names.len(), &meshes);
         let mut problem = Collocation {
             layout,
             meshes,
@@ -151,17 +174,23 @@ impl Collocation {
             pairs: IndexVec::default(),
             first_pair: 0,
             chains: Chains::default(),
-            boundary,
+            boundary: None,
         };
         problem.place_data();
-        problem.place_derivatives();
-        problem.chains = problem.layout.chains(&problem.meshes);
-        if let Some(boundary) = &problem.boundary {
-            for (e, chain) in problem.chains.chains.iter_mut().enumerate() {
+        Ok(problem)
+    }
+
+    /// The same with the places of derivatives, and conditions on the ends of records.
+    fn with_derivatives(mut self, boundary: Option<Boundary>) -> Self {
+        self.boundary = boundary;
+        self.place_derivatives();
+        self.chains = self.layout.chains(&self.meshes);
+        if let Some(boundary) = &self.boundary {
+            for (e, chain) in self.chains.chains.iter_mut().enumerate() {
                 chain.boundary = boundary.of_chain(ExperimentId(e));
             }
         }
-        Ok(problem)
+        self
     }
 
     /// Fills chunks and blocks of samples with data in the order of their lanes.

@@ -262,7 +262,7 @@ fn no_errors(problem: &dyn Transcribed, xi: &[f64], why: NoInformation, limit: &
 }
 
 /// The covariance of the parameters as a user knows them, in place: that of the noise by the delta method.
-fn noise_covariance(reported: &[Reported], n_model: usize, n: usize, covariance: &mut [f64]) {
+pub(crate) fn noise_covariance(reported: &[Reported], n_model: usize, n: usize, covariance: &mut [f64]) {
     let of_unknowns = covariance.to_vec();
     let at = |i: usize, j: usize| of_unknowns[i * n + j];
     for (a, one) in reported.iter().enumerate() {

@@ -184,7 +184,7 @@ fn moves(z: &[f64]) -> bool {
 }
 
 /// Standard deviation of the measurements of an output over all experiments: the scale of its noise.
-pub(super) fn spread(samples: &[&[f64]]) -> f64 {
+pub(crate) fn spread(samples: &[&[f64]]) -> f64 {
     let mut z: Vec<f64> = samples.iter().copied().flatten().copied().filter(|v| !v.is_nan()).collect();
     let n = z.len() as f64;
     let mean = pairwise_sum(&z) / n;

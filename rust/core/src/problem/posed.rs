@@ -45,8 +45,8 @@ pub struct Posed {
     pub(crate) input_names: Vec<String>,
     pub(crate) experiments: IndexVec<ExperimentId, Experiment>,
     pub(crate) f: Arc<Function>,
-    pub(crate) likelihood: Function,
-    pub(crate) outputs: Function,
+    pub(crate) likelihood: Arc<Function>,
+    pub(crate) outputs: Arc<Function>,
     missing: Missing,
     /// Number of patterns of missing samples that the likelihood distinguishes.
     patterns: usize,
@@ -203,8 +203,8 @@ impl Posed {
             input_names: model.inputs.iter().map(|s| s.name.clone()).collect(),
             experiments: experiments.iter().cloned().collect(),
             f: Arc::new(f),
-            likelihood,
-            outputs,
+            likelihood: Arc::new(likelihood),
+            outputs: Arc::new(outputs),
             patterns: patterns.len(),
             missing,
             counts: if local {
@@ -215,6 +215,48 @@ impl Posed {
             threads,
         };
         Ok((posed, written))
+    }
+
+    /// Poses the problem of another experiment of the same model with the functions that are compiled; `None` where they do not
+    /// serve: other samples are missing, or this problem is one of several experiments.
+    ///
+    /// # Errors
+    /// When the data do not fit the model.
+    pub(crate) fn of_another(&self, experiment: &Experiment) -> Result<Option<Self>, Error> {
+        let inputs: Vec<&str> = self.input_names.iter().map(String::as_str).collect();
+        let outputs: Vec<&str> = self.output_names.iter().map(String::as_str).collect();
+        Experiment::check_all(std::slice::from_ref(experiment), &inputs, &outputs)?;
+        let missing = Missing::new([&experiment.outputs].into_iter());
+        if self.experiments.len() != 1 || missing != self.missing {
+            return Ok(None);
+        }
+        let counts = Counts::new([&experiment.outputs].into_iter());
+        let noise = self.noise.clone().for_data(&counts, &missing)?;
+        if noise.variable_names(&outputs) != self.noise_names {
+            return Ok(None);
+        }
+        Ok(Some(Posed {
+            parameters: self.parameters.clone(),
+            n_model_parameters: self.n_model_parameters,
+            roles: self.roles.clone(),
+            multiplied: self.multiplied.clone(),
+            estimands: self.estimands.clone(),
+            noise,
+            noise_names: self.noise_names.clone(),
+            model_names: self.model_names.clone(),
+            output_names: self.output_names.clone(),
+            state_names: self.state_names.clone(),
+            state_bounds: self.state_bounds.clone(),
+            input_names: self.input_names.clone(),
+            experiments: [experiment.clone()].into_iter().collect(),
+            f: Arc::clone(&self.f),
+            likelihood: Arc::clone(&self.likelihood),
+            outputs: Arc::clone(&self.outputs),
+            missing,
+            patterns: self.patterns,
+            counts: vec![counts],
+            threads: self.threads.clone(),
+        }))
     }
 
     /// Data columns of the likelihood at the samples of an experiment: time, inputs, measurements, and where some

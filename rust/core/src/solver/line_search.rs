@@ -153,6 +153,16 @@ impl LineSearch {
         }
     }
 
+    /// Takes a full step, whatever the objective there: from a path that does not satisfy the equations it may rise. Whether
+    /// all is finite there.
+    pub fn take_full(&mut self, program: &Program<'_>, iterate: &mut Iterate, step: &Step) -> bool {
+        let finite = self.trial.step(program, &iterate.point.xi, 1.0, &step.d);
+        if finite {
+            iterate.set(&self.trial, &step.multipliers);
+        }
+        finite
+    }
+
     /// Whether the iterate is one of trust.
     pub fn on_trust(&self) -> bool {
         self.watchdog.on_trust()

@@ -23,7 +23,7 @@ pub(crate) struct Newton<'a> {
     pub(super) settings: Settings,
     pub(super) iterate: Iterate,
     pub(super) step: Step,
-    system: NewtonSystem,
+    pub(super) system: NewtonSystem,
     search: LineSearch,
     sizes: Sizes,
     /// Whether the exact Hessian is in use.
@@ -191,6 +191,16 @@ impl<'a> Newton<'a> {
             let next = Iteration::at(line.number + 1, &iterate.point, was_exact);
             line = Iteration { step: alpha, trials, shift, ..next };
         }
+    }
+
+    /// Takes the full step of the exact Hessian and returns true, where the iterate is so near the solution that the step is not
+    /// longer than this, dᵀHd: a distance in standard errors, squared. Else the step is left to [`Newton::minimise`], which
+    /// finds the system factorised.
+    pub fn step_if_near(&mut self, most: f64) -> bool {
+        let Newton { program, iterate, step, system, search, sizes, .. } = self;
+        let found = newton_step(program, iterate, system, step, sizes, (true, false));
+        let near = found.is_ok_and(|(factored, p)| !factored.is_damped() && p.curvature.abs() <= most);
+        near && search.take_full(program, iterate, step)
     }
 
     /// The point to end at, and what is to be told of it.

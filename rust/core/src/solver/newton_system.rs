@@ -29,21 +29,21 @@ impl From<NotFinite> for NoStep {
 
 /// The Newton system of a program: its linear algebra, active set and damping.
 pub(super) struct NewtonSystem {
-    kkt: Box<dyn KktSolver>,
-    active: ActiveSet,
-    damping: Damping,
+    pub(super) kkt: Box<dyn KktSolver>,
+    pub(super) active: ActiveSet,
+    pub(super) damping: Damping,
     /// Which matrix the factor is of: the moves of the iterate, whether the exact Hessian was asked for, and whether it is
     /// that.
     factorised: Option<(u64, bool, bool)>,
     /// Scratch: right-hand sides.
-    p: Vec<f64>,
-    q: Vec<f64>,
+    pub(super) p: Vec<f64>,
+    pub(super) q: Vec<f64>,
 }
 
 impl NewtonSystem {
     pub fn new(program: &Program<'_>, kkt: &KktChoice) -> NewtonSystem {
         NewtonSystem {
-            kkt: kkt.make(program.nlp, &program.units.states),
+            kkt: kkt.take_or_make(program.nlp, &program.units.states),
             active: ActiveSet::new(program),
             damping: Damping::new(),
             factorised: None,

@@ -16,6 +16,7 @@ mod estimate;
 mod explain;
 mod factors;
 mod filter;
+mod fleet;
 mod free_scale;
 mod fused;
 mod gaps;

@@ -1,0 +1,1 @@
+"""Estimation from many records on many machines."""

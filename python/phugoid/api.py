@@ -11,8 +11,6 @@ from typing import Any, ParamSpec, TypeVar
 from .estimation import estimate as _estimate
 from .estimation import estimate_from_afar
 from .result import Fit
-from .saving import files as io
-from .saving import load as read_fit
 
 __all__ = ["estimate", "load", "load_fit", "with_facade"]
 
@@ -45,6 +43,8 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     Raises DataError for a missing, damaged or newer file, MissingDependency for HDF5 without h5py.
     """
+    from .saving import files as io
+
     if io.format_of(path) == io.DIAGNOSIS:
         from .diagnosis import Diagnosis
         from .discrepancy.saved import load_diagnosis
@@ -55,4 +55,6 @@ def load(path: str | os.PathLike[str]) -> Any:
 
 def load_fit(path: str | os.PathLike[str]) -> Fit:
     """Read a fit that `Fit.save` wrote; raises as `load` does, and for the file of a diagnosis."""
-    return Fit._of(read_fit(path))
+    from .saving import load
+
+    return Fit._of(load(path))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -38,9 +37,7 @@ __all__ = [
     "Panels",
     "figure_of",
     "headline",
-    "label_decades",
     "labelled",
-    "place_labels",
     "plain",
     "squared",
     "styled",
@@ -125,28 +122,6 @@ def figure_of(axis: Axes) -> Figure:
         parent = parent.figure
     figure: Figure = parent
     return figure
-
-
-def place_labels(axis: Axes, left: float, below: float = 0.24) -> None:
-    """Place the labels of an axis so many inches left of it (the middle of the label) and below it (its upper edge).
-
-    Otherwise matplotlib measures all numbers at the axis for every drawing, also where there is no label.
-    """
-    width, height = axis.get_position().size * figure_of(axis).get_size_inches()
-    axis.yaxis.set_label_coords(-left / width, 0.5)
-    axis.xaxis.set_label_coords(0.5, -below / height)
-
-
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-def label_decades(part: Any) -> None:
-    """Label an x-axis or y-axis, on which powers of ten are marked, with 10⁻³ as text: mathematics takes far longer to
-    draw."""
-    from matplotlib.ticker import FuncFormatter, NullFormatter
-
-    part.set_major_formatter(FuncFormatter(lambda value, _: "10" + f"{math.log10(value):.0f}".translate(_RAISED)))
-    part.set_minor_formatter(NullFormatter())
 
 
 def headline(figure: Figure, left: float, text: str) -> None:

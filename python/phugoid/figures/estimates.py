@@ -23,8 +23,6 @@ from . import (
     WIDTH,
     Panels,
     headline,
-    label_decades,
-    place_labels,
     plain,
     styled,
 )
@@ -273,7 +271,7 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
     Returns the figure and the axes by ``"log-likelihood"``, ``"defect"``, ``"optimum"`` and ``"step"``. Raises
     DataError for a fit without iterations, such as one whose solver keeps no table.
     """
-    from matplotlib.ticker import LogLocator, MaxNLocator
+    from .ticks import LinearTicks, LogTicks, label_decades, prepare
 
     history = list(fit.history)
     if not history:
@@ -295,7 +293,7 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
         figure, panels = plt.subplots(2, 2, sharex=True, figsize=(WIDTH, height), gridspec_kw=frame)
         axes: dict[str, Any] = dict(zip(names, panels.flat, strict=True))
         for axis in axes.values():
-            place_labels(axis, _LEFT)
+            prepare(axis, _LEFT)
         below = likelihood[-1] - likelihood
         _draw_iterations(axes["log-likelihood"], number[:-1], np.abs(below[:-1]), MEASURED, hollow=below[:-1] < 0.0)
         _draw_iterations(axes["defect"], number, np.array([line.defect for line in history]), MODEL)
@@ -318,9 +316,9 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
             logarithmic = axis.get_yscale() == "log"
             # There is nothing above a logarithmic axis; above others the factor of its numbers may be.
             axis.set_title(title, fontsize=8.0, loc="left", y=1.0 if logarithmic else None)
-            axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+            axis.xaxis.set_major_locator(LinearTicks(integer=True))
             if logarithmic:
-                axis.yaxis.set_major_locator(LogLocator(numticks=6))
+                axis.yaxis.set_major_locator(LogTicks(numticks=6))
                 label_decades(axis.yaxis)
             for place in anew:
                 axis.axvline(place, color=RULE, linewidth=0.8, linestyle="--", zorder=0.5)

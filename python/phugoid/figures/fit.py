@@ -30,7 +30,6 @@ from . import (
     figure_of,
     headline,
     labelled,
-    place_labels,
     plain,
     styled,
     with_gaps,
@@ -293,6 +292,8 @@ def _layout(record: Record, channels: Sequence[str]) -> tuple[Figure, dict[str, 
     """Create a figure: outputs (and states) on top, column by column, each above its residuals; inputs below them."""
     import matplotlib.pyplot as plt
 
+    from .ticks import prepare
+
     upper = [name for name in channels if name in record.outputs or name not in record.inputs]
     lower = [name for name in channels if name not in upper]
     columns = 2 if len(upper) >= _TWO_COLUMNS_FROM else 1
@@ -326,7 +327,7 @@ def _layout(record: Record, channels: Sequence[str]) -> tuple[Figure, dict[str, 
         row = len(upper_block) * upper_rows + 2 * (i // columns)
         panels[name] = share = figure.add_subplot(grid[row, i % columns], sharex=share)
     for axis in panels.values():
-        place_labels(axis, _LABEL)
+        prepare(axis, _LABEL)
     return figure, panels
 
 

@@ -150,6 +150,8 @@ def misfit_figure(
     misfit: Misfit, channels: Sequence[str] | None, width: float = WIDTH
 ) -> tuple[Figure, dict[str, Axes]]:
     """Draw `Misfit.plot`; in a narrow figure the regime stands below the spectrum."""
+    from ...figures.ticks import make_ticks_in_view
+
     names = list(misfit.worst[:3] if channels is None else channels)
     for name in names:
         if name not in misfit.channels:
@@ -176,12 +178,14 @@ def misfit_figure(
             share = None
             for i, record in enumerate(shown):
                 axis = share = part.add_subplot(times[0, i], sharey=share)
+                make_ticks_in_view(axis)
                 key = f"{name} time" if len(records) == 1 else f"{name} time {record.name}"
                 panels[key] = axis
                 room = int(_NAME * shares[i] / shares.sum()) if len(records) > 1 else 0
                 _draw_time(axis, channel, record, first=i == 0, room=room)
             for what, cell in zip(("autocorrelation", "spectrum", "regime"), cells, strict=True):
                 panels[f"{name} {what}"] = part.add_subplot(cell)
+                make_ticks_in_view(panels[f"{name} {what}"])
             _draw_autocorrelation(panels[f"{name} autocorrelation"], channel)
             _draw_spectrum(panels[f"{name} spectrum"], channel)
             _draw_regime(panels[f"{name} regime"], channel)
@@ -268,7 +272,7 @@ def _draw_autocorrelation(axis: Axes, c: ChannelMisfit) -> None:
 
 
 def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
-    from matplotlib.ticker import NullFormatter
+    from ...figures.ticks import LogTicks, label_decades
 
     if c.spectrum is None:
         _empty(axis, "too few samples\nfor a spectrum")
@@ -284,11 +288,12 @@ def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
     # A flat spectrum shall look flat.
     axis.set_ylim(min(s.level / 20.0, float(s.density.min())), max(s.level * 20.0, 1.5 * float(s.density.max())))
     for part in (axis.xaxis, axis.yaxis):
-        part.set_minor_formatter(NullFormatter())
+        part.set_major_locator(LogTicks(numticks=6))
+        label_decades(part)
     time = time_unit_of(c.units)
     axis.set_xlabel(plain(f"frequency, {time.frequency}"), labelpad=1.0)
     tones = ", tones dotted" if c.tones else ""
-    axis.set_title(plain(f"power, {squared(c.unit, time)}{tones}"), fontsize=7.5)
+    axis.set_title(plain(f"power, {squared(c.unit, time)}{tones}"), fontsize=7.5, y=1.0)
 
 
 def _draw_regime(axis: Axes, c: ChannelMisfit) -> None:

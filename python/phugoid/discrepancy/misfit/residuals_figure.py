@@ -19,9 +19,7 @@ from ...figures import (
     WIDTH,
     Panels,
     headline,
-    label_decades,
     labelled,
-    place_labels,
     plain,
     squared,
     styled,
@@ -74,6 +72,8 @@ def plot_residuals(
     Returns the figure and the axes by ``"<output>"``, ``"<output> autocorrelation"``, ``"<output> spectrum"``. Raises
     UnknownName for an output or an experiment that is not there, DataError where nothing was measured.
     """
+    from ...figures.ticks import prepare
+
     chosen = choose_record(fit.records, record)
     names = _chosen(chosen, channels)
     sigmas = sigmas_of(fit, chosen)
@@ -99,7 +99,7 @@ def plot_residuals(
             panels += [figure.add_subplot(grid[i, column]) for column in (1, 2)]
             axes.update(zip((name, f"{name} autocorrelation", f"{name} spectrum"), panels, strict=True))
             for axis in panels:
-                place_labels(axis, _LABEL)
+                prepare(axis, _LABEL)
             _draw_time(panels[0], chosen, name, sigmas.get(name, math.nan))
             series = channel_series([chosen], name)
             if not series or series[0].r.size < _ENOUGH or not np.any(series[0].r != 0.0):
@@ -183,7 +183,9 @@ def _draw_autocorrelation(axis: Axes, series: Series) -> None:
 
 
 def _draw_spectrum(axis: Axes, series: Series, unit: str) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+    from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
+
+    from ...figures.ticks import LogTicks, label_decades
 
     s = spectrum_of([series], 1e-3)
     low, high = (
@@ -194,10 +196,10 @@ def _draw_spectrum(axis: Axes, series: Series, unit: str) -> None:
     axis.loglog(s.frequency, s.density, color=MEASURED, linewidth=1.0)
     # A flat spectrum shall look flat.
     axis.set_ylim(min(s.level / 20.0, 0.7 * float(s.density.min())), max(s.level * 20.0, 1.5 * float(s.density.max())))
-    axis.yaxis.set_major_locator(LogLocator(numticks=5))
+    axis.yaxis.set_major_locator(LogTicks(numticks=5))
     label_decades(axis.yaxis)
     if s.frequency[-1] < 100.0 * s.frequency[0]:  # less than two decades
-        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=9))
+        axis.xaxis.set_major_locator(LogTicks(subs=(1.0, 2.0, 5.0), numticks=9))
         axis.xaxis.set_minor_locator(NullLocator())
     axis.xaxis.set_minor_formatter(NullFormatter())
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -26,6 +26,7 @@ from . import (
     plain,
     styled,
 )
+from .ticks import label_decades, linear_ticks, log_ticks, prepare
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -271,8 +272,6 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
     Returns the figure and the axes by ``"log-likelihood"``, ``"defect"``, ``"optimum"`` and ``"step"``. Raises
     DataError for a fit without iterations, such as one whose solver keeps no table.
     """
-    from .ticks import LinearTicks, LogTicks, label_decades, prepare
-
     history = list(fit.history)
     if not history:
         raise DataError("plot_convergence: the fit has no history of iterations")
@@ -316,9 +315,9 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
             logarithmic = axis.get_yscale() == "log"
             # There is nothing above a logarithmic axis; above others the factor of its numbers may be.
             axis.set_title(title, fontsize=8.0, loc="left", y=1.0 if logarithmic else None)
-            axis.xaxis.set_major_locator(LinearTicks(integer=True))
+            axis.xaxis.set_major_locator(linear_ticks(integer=True))
             if logarithmic:
-                axis.yaxis.set_major_locator(LogTicks(numticks=6))
+                axis.yaxis.set_major_locator(log_ticks(numticks=6))
                 label_decades(axis.yaxis)
             for place in anew:
                 axis.axvline(place, color=RULE, linewidth=0.8, linestyle="--", zorder=0.5)

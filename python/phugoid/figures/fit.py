@@ -35,6 +35,7 @@ from . import (
     with_gaps,
     write_keys,
 )
+from .ticks import prepare
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -291,8 +292,6 @@ def _draw(
 def _layout(record: Record, channels: Sequence[str]) -> tuple[Figure, dict[str, Axes]]:
     """Create a figure: outputs (and states) on top, column by column, each above its residuals; inputs below them."""
     import matplotlib.pyplot as plt
-
-    from .ticks import prepare
 
     upper = [name for name in channels if name in record.outputs or name not in record.inputs]
     lower = [name for name in channels if name not in upper]

@@ -1,49 +1,72 @@
 """Axes of figures that are laid out by hand: ticks only where they are seen, labels at fixed places, and powers of ten
-as text. Otherwise matplotlib spends most of its time on the measuring of numbers.
-
-It is imported by functions that draw, since it imports matplotlib.
-"""
+as text. Otherwise matplotlib spends most of its time on the measuring of numbers."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from . import figure_of
 
-__all__ = ["LinearTicks", "LogTicks", "label_decades", "make_ticks_in_view", "prepare"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.ticker import Locator
+
+__all__ = ["label_decades", "linear_ticks", "log_ticks", "make_ticks_in_view", "prepare"]
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _ROUNDING = 1e-6  # of the view
+_TINY = 1e-300
 
 
-class LinearTicks(MaxNLocator):
-    """The ticks of `matplotlib.ticker.AutoLocator` that are in view; of each beyond it five objects would be made."""
+@cache
+def _in_view(kind: Any) -> Any:
+    """Return a kind of locator without the ticks beyond the view, for each of which matplotlib would make five objects.
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**{"nbins": "auto", "steps": [1, 2, 2.5, 5, 10], **options})
+    It is made here, since its base is of matplotlib, which is imported by the functions that draw.
+    """
 
-    def tick_values(self, vmin: float, vmax: float) -> Any:
-        """Return the places of ticks between two values."""
-        low, high = min(vmin, vmax), max(vmin, vmax)
-        slack = _ROUNDING * (high - low)
-        ticks = np.asarray(super().tick_values(vmin, vmax))
-        return ticks[(ticks >= low - slack) & (ticks <= high + slack)]
+    from matplotlib.ticker import LogLocator
+
+    logarithmic = issubclass(kind, LogLocator)
+
+    class InView(kind):  # type: ignore[misc]
+        def tick_values(self, vmin: float, vmax: float) -> Any:
+            ticks = np.asarray(super().tick_values(vmin, vmax))
+            ends = np.array([min(vmin, vmax), max(vmin, vmax)])
+            at, (low, high) = (np.log(ticks), np.log(np.maximum(ends, _TINY))) if logarithmic else (ticks, ends)
+            slack = _ROUNDING * (high - low)
+            return ticks[(at >= low - slack) & (at <= high + slack)]
+
+        def __reduce__(self) -> Any:  # figures can be pickled
+            return _blank, (kind,), vars(self)
+
+    return InView
 
 
-class LogTicks(LogLocator):
-    """The ticks of `matplotlib.ticker.LogLocator` that are in view."""
+def _blank(kind: Any) -> Any:
+    made = _in_view(kind)
+    return made.__new__(made)
 
-    def tick_values(self, vmin: float, vmax: float) -> Any:
-        """Return the places of ticks between two values."""
-        low, high = min(vmin, vmax), max(vmin, vmax)
-        ticks = np.asarray(super().tick_values(vmin, vmax))
-        return ticks[(ticks >= low * (1.0 - _ROUNDING)) & (ticks <= high * (1.0 + _ROUNDING))]
+
+def linear_ticks(**options: Any) -> Locator:
+    """Return a locator of those ticks of `matplotlib.ticker.AutoLocator` that are in view."""
+    from matplotlib.ticker import MaxNLocator
+
+    locator: Locator = _in_view(MaxNLocator)(**{"nbins": "auto", "steps": [1, 2, 2.5, 5, 10], **options})
+    return locator
+
+
+def log_ticks(**options: Any) -> Locator:
+    """Return a locator of those ticks of `matplotlib.ticker.LogLocator` that are in view."""
+    from matplotlib.ticker import LogLocator
+
+    locator: Locator = _in_view(LogLocator)(**options)
+    return locator
 
 
 def prepare(axis: Axes, left: float, below: float = 0.24) -> None:
@@ -58,10 +81,21 @@ def prepare(axis: Axes, left: float, below: float = 0.24) -> None:
 def make_ticks_in_view(axis: Axes) -> None:
     """Have ticks of linear scales made in view only."""
     for part in (axis.xaxis, axis.yaxis):
-        part.set_major_locator(LinearTicks())
+        part.set_major_locator(linear_ticks())
 
 
 def label_decades(part: Axis) -> None:
     """Label powers of ten with 10⁻³ as text; mathematics takes far longer to draw."""
-    part.set_major_formatter(FuncFormatter(lambda value, _: "10" + f"{math.log10(value):.0f}".translate(_RAISED)))
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    part.set_major_formatter(FuncFormatter(_decade))
     part.set_minor_formatter(NullFormatter())
+
+
+def _decade(value: float, _: int | None = None) -> str:
+    """Return a power of ten as text.
+
+    >>> _decade(1e-12), _decade(10.0)
+    ('10⁻¹²', '10¹')
+    """
+    return "10" + f"{math.log10(value):.0f}".translate(_RAISED)

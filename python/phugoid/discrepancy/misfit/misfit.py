@@ -26,6 +26,7 @@ from ...figures import (
     styled,
     with_gaps,
 )
+from ...figures.ticks import label_decades, log_ticks, make_ticks_in_view
 from ...fit_result import FitResult
 from ...notebook import Html, bullets, notebook_page, sparkline, table
 from ...records import Record
@@ -150,8 +151,6 @@ def misfit_figure(
     misfit: Misfit, channels: Sequence[str] | None, width: float = WIDTH
 ) -> tuple[Figure, dict[str, Axes]]:
     """Draw `Misfit.plot`; in a narrow figure the regime stands below the spectrum."""
-    from ...figures.ticks import make_ticks_in_view
-
     names = list(misfit.worst[:3] if channels is None else channels)
     for name in names:
         if name not in misfit.channels:
@@ -272,8 +271,6 @@ def _draw_autocorrelation(axis: Axes, c: ChannelMisfit) -> None:
 
 
 def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
-    from ...figures.ticks import LogTicks, label_decades
-
     if c.spectrum is None:
         _empty(axis, "too few samples\nfor a spectrum")
         return
@@ -288,7 +285,7 @@ def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
     # A flat spectrum shall look flat.
     axis.set_ylim(min(s.level / 20.0, float(s.density.min())), max(s.level * 20.0, 1.5 * float(s.density.max())))
     for part in (axis.xaxis, axis.yaxis):
-        part.set_major_locator(LogTicks(numticks=6))
+        part.set_major_locator(log_ticks(numticks=6))
         label_decades(part)
     time = time_unit_of(c.units)
     axis.set_xlabel(plain(f"frequency, {time.frequency}"), labelpad=1.0)

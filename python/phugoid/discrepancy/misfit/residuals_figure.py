@@ -27,6 +27,7 @@ from ...figures import (
     write_keys,
 )
 from ...figures.fit import choose_record, sigmas_of
+from ...figures.ticks import label_decades, log_ticks, prepare
 from ...fit_result import FitResult
 from ...goodness_of_fit import chi_square_quantile
 from ...records import Record
@@ -72,8 +73,6 @@ def plot_residuals(
     Returns the figure and the axes by ``"<output>"``, ``"<output> autocorrelation"``, ``"<output> spectrum"``. Raises
     UnknownName for an output or an experiment that is not there, DataError where nothing was measured.
     """
-    from ...figures.ticks import prepare
-
     chosen = choose_record(fit.records, record)
     names = _chosen(chosen, channels)
     sigmas = sigmas_of(fit, chosen)
@@ -185,8 +184,6 @@ def _draw_autocorrelation(axis: Axes, series: Series) -> None:
 def _draw_spectrum(axis: Axes, series: Series, unit: str) -> None:
     from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
 
-    from ...figures.ticks import LogTicks, label_decades
-
     s = spectrum_of([series], 1e-3)
     low, high = (
         s.level * chi_square_quantile(s.freedom, p) / s.freedom for p in (0.5 + 0.5 * _LEVEL, 0.5 - 0.5 * _LEVEL)
@@ -196,10 +193,10 @@ def _draw_spectrum(axis: Axes, series: Series, unit: str) -> None:
     axis.loglog(s.frequency, s.density, color=MEASURED, linewidth=1.0)
     # A flat spectrum shall look flat.
     axis.set_ylim(min(s.level / 20.0, 0.7 * float(s.density.min())), max(s.level * 20.0, 1.5 * float(s.density.max())))
-    axis.yaxis.set_major_locator(LogTicks(numticks=5))
+    axis.yaxis.set_major_locator(log_ticks(numticks=5))
     label_decades(axis.yaxis)
     if s.frequency[-1] < 100.0 * s.frequency[0]:  # less than two decades
-        axis.xaxis.set_major_locator(LogTicks(subs=(1.0, 2.0, 5.0), numticks=9))
+        axis.xaxis.set_major_locator(log_ticks(subs=(1.0, 2.0, 5.0), numticks=9))
         axis.xaxis.set_minor_locator(NullLocator())
     axis.xaxis.set_minor_formatter(NullFormatter())
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -30,7 +30,7 @@ def test_cells_hold_the_correlations() -> None:
     f = fit(6)
     _, axes = plot_correlation(f)
     assert list(axes) == ["correlation", "scale"]
-    shown = np.asarray(axes["correlation"].images[0].get_array())
+    shown = np.asarray(axes["correlation"].collections[0].get_array())
     expected = f.covariance / np.sqrt(np.outer(np.diag(f.covariance), np.diag(f.covariance)))
     for row in range(4):
         np.testing.assert_allclose(shown[row, : row + 1], expected[row + 1, : row + 1])
@@ -38,8 +38,8 @@ def test_cells_hold_the_correlations() -> None:
     assert [t.get_text() for t in axes["correlation"].get_xticklabels()] == ["C_0", "C_1", "C_2", "C_3"]
     written = [float(t.get_text().replace("−", "-")) for t in axes["correlation"].texts]
     np.testing.assert_allclose(written, expected[np.tril_indices(5, -1)], atol=0.0051)
-    image = axes["correlation"].images[0]
-    assert (image.norm.vmin, image.norm.vmax) == (-1.0, 1.0)
+    cells = axes["correlation"].collections[0]
+    assert (cells.norm.vmin, cells.norm.vmax) == (-1.0, 1.0)
 
 
 def test_strong_ones_are_bold() -> None:
@@ -79,7 +79,7 @@ def test_names_choose_and_order() -> None:
     f = fit(5)
     _, axes = plot_correlation(f, ["sigma_q", "C_0"])
     value = f.covariance[4, 0] / np.sqrt(f.covariance[4, 4] * f.covariance[0, 0])
-    assert np.asarray(axes["correlation"].images[0].get_array()) == pytest.approx(np.array([[value]]))
+    assert np.asarray(axes["correlation"].collections[0].get_array()) == pytest.approx(np.array([[value]]))
     assert axes["correlation"].get_yticklabels()[0].get_text() == "C_0"
 
 

@@ -8,23 +8,21 @@ from functools import wraps
 from inspect import signature
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, overload
 
-from .data.experiment import Experiment
 from .estimation import estimate_from_afar
-from .filter_error import FilterError
-from .fit_result import FitResult
-from .modelling.model import Model
-from .modelling.noise import Noise
-from .regression.equation_error import EquationError
 from .result import Fit
-from .saving import files as io
-from .saving import load as read_fit
-from .solvers import Iteration
-from .solvers.ipopt import Ipopt
-from .solvers.newton import Newton
-from .transcription import Collocation, Transcription
 
 if TYPE_CHECKING:
+    from .data.experiment import Experiment
+    from .filter_error import FilterError
+    from .fit_result import FitResult
     from .fleet.result import FleetFit
+    from .modelling.model import Model
+    from .modelling.noise import Noise
+    from .regression.equation_error import EquationError
+    from .solvers import Iteration
+    from .solvers.ipopt import Ipopt
+    from .solvers.newton import Newton
+    from .transcription import Collocation, Transcription
 
 __all__ = ["estimate", "load", "load_fit", "with_facade"]
 
@@ -163,6 +161,8 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     Raises DataError for a missing, damaged or newer file, MissingDependency for HDF5 without h5py.
     """
+    from .saving import files as io
+
     if io.format_of(path) == io.DIAGNOSIS:
         from .diagnosis import Diagnosis
         from .discrepancy.saved import load_diagnosis
@@ -173,4 +173,6 @@ def load(path: str | os.PathLike[str]) -> Any:
 
 def load_fit(path: str | os.PathLike[str]) -> Fit:
     """Read a fit that `Fit.save` wrote; raises as `load` does, and for the file of a diagnosis."""
-    return Fit._of(read_fit(path))
+    from .saving import load
+
+    return Fit._of(load(path))

@@ -160,6 +160,14 @@ class ReadOnly(Mapping[str, _T]):
     def __getitem__(self, name: str) -> _T:
         return self._values[name]
 
+    # What Mapping has for these two would make the message of a KeyError for every name that is not there.
+    def get(self, name: str, default: Any = None, /) -> Any:
+        """Return the value of a name, or ``default``."""
+        return self._values.get(name, default)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._values
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._values)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from numbers import Real
 from typing import Any, TypeAlias
 
@@ -22,6 +23,7 @@ __all__ = [
     "Match",
     "Tolerance",
     "chi_square",
+    "chi_square_quantile",
     "chi_square_tail",
     "chi_square_warning",
     "match",
@@ -349,6 +351,51 @@ def chi_square_tail(x: float, freedom: int) -> float:
         total += term
         term *= half / (i + (1.5 if odd else 1.0))
     return total
+
+
+@cache
+def chi_square_quantile(freedom: float, tail: float) -> float:
+    """Return the value that a chi-square variable with so many degrees of freedom, also a fraction, exceeds with
+    probability ``tail``.
+
+    By bisection of the incomplete gamma function; scipy.special takes longer to import than a fit.
+
+    >>> round(chi_square_quantile(1, 0.05), 6), round(chi_square_quantile(2, 0.05), 6)
+    (3.841459, 5.991465)
+    """
+    low, high = 0.0, 1.0
+    while _gamma_tail(0.5 * freedom, 0.5 * high) > tail:
+        low, high = high, 2.0 * high
+    while True:
+        middle = 0.5 * (low + high)
+        if not low < middle < high:
+            return middle
+        low, high = (middle, high) if _gamma_tail(0.5 * freedom, 0.5 * middle) > tail else (low, middle)
+
+
+def _gamma_tail(a: float, x: float) -> float:
+    """Return the regularised upper incomplete gamma function Q(a, x): Abramowitz & Stegun, 6.5.29 and 6.5.31."""
+    factor = math.exp(a * math.log(x) - x - math.lgamma(a))
+    if x < a + 1.0:
+        term = total = 1.0 / a
+        n = a
+        while term > 1e-17 * total:
+            n += 1.0
+            term *= x / n
+            total += term
+        return 1.0 - factor * total
+    # The continued fraction, by the method of Lentz.
+    b = x + 1.0 - a
+    c, d = math.inf, 1.0 / b
+    value, change, i = d, 0.0, 0
+    while abs(change - 1.0) > 1e-16:
+        i += 1
+        b += 2.0
+        d = 1.0 / (b - i * (i - a) * d)
+        c = b - i * (i - a) / c
+        change = c * d
+        value *= change
+    return factor * value
 
 
 def _on_grid(t: _Array, r: _Array) -> _Array:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from html import escape
 from typing import TypeAlias
 
 import numpy as np
@@ -49,6 +48,13 @@ _Cell: TypeAlias = "str | Html"
 
 Rows: TypeAlias = "tuple[Sequence[str], Sequence[Sequence[str]], str]"
 """Heads, rows and alignment of a table: what `table` and `parameters.text_table` take."""
+
+
+def escape(text: str) -> str:
+    """Return a text in which the characters that HTML takes for its own are escaped."""
+    from html import escape  # not at import: it brings a table of all characters that have a name
+
+    return escape(text)
 
 
 def _escaped(text: str) -> str:

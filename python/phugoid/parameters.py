@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -209,6 +208,8 @@ class Estimates(Mapping[str, Estimate]):
         """
         if not 0.0 < level < 1.0:
             raise OptionError(f"conf_int: level is between 0 and 1, not {level!r}")
+        from statistics import NormalDist  # not at import: it takes its time
+
         factor = NormalDist().inv_cdf(0.5 + 0.5 * level)
         found = {}
         for name, e in self._by_name.items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -65,6 +64,8 @@ class StatusLine:
                 self._handle.update(said, raw=True)
         elif self._terminal:
             # A line that wraps could not be overwritten.
+            import shutil  # not at import: it takes its time
+
             print(f"\r\x1b[K{text[: shutil.get_terminal_size().columns - 1]}", end="", file=sys.stderr, flush=True)
         else:
             print(text, file=sys.stderr, flush=True)

@@ -16,7 +16,7 @@ from .fit_result import FitResult
 from .goodness_of_fit import Match, match
 from .modelling.constant import constants_table
 from .notebook import equation
-from .pages import WIDTHS, PageTable, Picture, histories, picture, render, sources
+from .pages import PageTable, Picture, histories, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
 from .solvers import History
 from .summary import corrected
@@ -244,7 +244,9 @@ def _residuals(fit: FitResult) -> list[tuple[str, Picture]]:
     found = []
     for i, record in enumerate(fit.records[:_FIGURES]):
         with contextlib.suppress(DataError):  # nothing was measured
-            found.append((record.name, picture(*(plot_residuals(fit, i, width=w)[0] for w in WIDTHS))))
+            figure, axes = plot_residuals(fit, i)
+            rows = zip(*[iter(axes.values())] * 3, strict=True)
+            found.append((record.name, picture(figure, tiles=[[[time], [*statistics]] for time, *statistics in rows])))
     return found
 
 
@@ -313,7 +315,9 @@ def _equations(fit: FitResult) -> tuple[dict[str, list[str]], list[str]]:
 
 
 def _solver(fit: FitResult) -> dict[str, Any]:
+    figure, axes = plot_convergence(fit)
+    upper_left, upper_right, lower_left, lower_right = ([axis] for axis in axes.values())
     return {
-        "picture": picture(*(plot_convergence(fit, w)[0] for w in WIDTHS)),
+        "picture": picture(figure, tiles=[[upper_left, upper_right], [lower_left, lower_right]]),
         "table": PageTable(*History(fit.history).rows()),
     }

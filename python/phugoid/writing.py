@@ -6,7 +6,6 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from hashlib import sha256
 from os import PathLike
 from pathlib import Path
 from threading import get_ident
@@ -102,6 +101,8 @@ def drawn(figure: Any, path: str | PathLike[str], **options: Any) -> bytes:
 
 def checksum(document: Any) -> str:
     """Return the SHA-256 of a JSON document's content; spaces and the order of keys do not matter."""
+    from hashlib import sha256  # not at import: it takes its time
+
     text = json.dumps(document, sort_keys=True, ensure_ascii=True, separators=(",", ":"))
     return f"sha256:{sha256(text.encode()).hexdigest()}"
 

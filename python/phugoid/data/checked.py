@@ -3,6 +3,7 @@ their place."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from typing import Any
@@ -138,9 +139,10 @@ def units(name: str, given: Mapping[str, str] | None, channels: Iterable[str]) -
 
 def real(values: ArrayLike, where: str, t: FloatArray | None = None) -> FloatArray:
     """Return a read-only float64 copy of an array of any shape; None, pandas' NA and masked samples become NaN."""
-    if isinstance(values, np.ma.MaskedArray):
+    masked = sys.modules.get("numpy.ma")  # without it, which takes its time to import, nothing is masked
+    if masked is not None and isinstance(values, masked.MaskedArray):
         # np.asarray would drop the mask and take the values beneath it as data.
-        values = np.ma.filled(values.astype(np.float64), np.nan)
+        values = masked.filled(values.astype(np.float64), np.nan)
     try:
         raw = np.asarray(values)
     except ValueError as error:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
-from fractions import Fraction
 from functools import partial
 from typing import Literal, TypeAlias, TypeVar
 
@@ -254,6 +253,8 @@ class Preprocessing:
                 f"resample: the input '{next(iter(self._signals))}' of experiment '{name}' has samples of its "
                 "own: resample before inputs and outputs are given different rates"
             )
+        from fractions import Fraction  # not at import: it takes its time
+
         ratio = Fraction(rate / old).limit_denominator(1000)
         if abs(float(ratio) * old / rate - 1.0) > 1e-6:
             raise OptionError(

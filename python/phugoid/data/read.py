@@ -17,7 +17,7 @@ from .checked import FloatArray, checked_gaps, real
 from .experiment import Experiment
 from .filtering import Interpolations
 from .multirate import multirate
-from .readers import Source, arrays, flight_logs, text
+from .readers import Source
 from .time_column import PX4_TIME, are_microseconds, bare, likely_times, seconds, time_of, unit_in_name
 from .units import convert as converted
 from .units import differ, si, target
@@ -26,35 +26,45 @@ __all__ = ["read"]
 
 Units = Mapping[str, "str | tuple[str, str]"]
 
+_HDF5, _PARQUET = (".h5", ".hdf5", ".hdf", ".he5"), (".parquet", ".pq")
+
 
 def _open_source(
     data: Any, time: str | None, requested: set[str], columns: Sequence[str] | None, delimiter: str | None
 ) -> Source:
-    """Return the columns of a table in memory, or of a file, whose ending gives its kind.
+    """Return the columns of a table in memory, or of a file, whose ending gives its kind; the reader is imported
+    here.
 
     time       name in the file of the column that gives the times; None: not given.
     requested  names that are asked for: columns that take long to read are skipped unless they are among them.
     """
-    if arrays.is_frame(data):
-        return arrays.read_frame(data, time)
+    if not isinstance(data, (str, PathLike)):
+        from .readers import arrays
+
+        if arrays.is_frame(data):
+            return arrays.read_frame(data, time)
     path = _path(data)
     ending = path.suffix.lower()
-    if not path.is_file():
-        tables = flight_logs.find_tables(path)
+    if ending in (".ulg", ".bin") or not path.is_file():
+        from .readers import flight_logs
+
+        tables = {} if path.is_file() else flight_logs.find_tables(path)
         if tables:
             return flight_logs.read_px4_tables(path, tables, time)
         if path.is_dir():
             raise DataError(f"{path}: is a folder without tables of a PX4 log (such as log_vehicle_attitude_0.csv)")
-    if ending == ".mat":
-        return arrays.read_matlab(path, time, columns)
-    if ending in (".h5", ".hdf5", ".hdf", ".he5"):
-        return arrays.read_hdf5(path, time, columns)
-    if ending in (".parquet", ".pq"):
-        return arrays.read_parquet(path, time)
-    if ending == ".ulg":
-        return flight_logs.read_ulog(path, time, requested)
-    if ending == ".bin":
-        return flight_logs.read_ardupilot(path, time, requested)
+        if ending == ".ulg":
+            return flight_logs.read_ulog(path, time, requested)
+        if ending == ".bin":
+            return flight_logs.read_ardupilot(path, time, requested)
+    if ending in (".mat", *_HDF5, *_PARQUET):
+        from .readers import arrays
+
+        if ending == ".mat":
+            return arrays.read_matlab(path, time, columns)
+        return arrays.read_hdf5(path, time, columns) if ending in _HDF5 else arrays.read_parquet(path, time)
+    from .readers import text
+
     return text.read_text(path, columns, delimiter)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
@@ -17,15 +17,15 @@ from ..fit_result import FitResult
 from ..initialisation import start_values
 from ..modelling.model import Model
 from ..modelling.noise import Noise, not_noise
-from ..regression.equation_error import EquationError
 from ..solvers import HINTS, Deadline, Iteration, interrupts
-from ..solvers.ipopt import Ipopt
 from ..solvers.newton import Newton
 from ..time_unit import SECONDS
 from ..transcription import Collocation, MultipleShooting, SingleShooting, Transcription
 from .core import Earlier, estimated, make_fit
-from .filter_fit import better, doubtful, filter_error
-from .filter_variables import split
+
+if TYPE_CHECKING:  # a first estimate needs neither
+    from ..regression.equation_error import EquationError
+    from ..solvers.ipopt import Ipopt
 
 __all__ = [
     "estimate",
@@ -85,7 +85,6 @@ def _estimate(
 ) -> FitResult:
     """Return the estimate as `estimate` does; without ``every_way``, kinks of the model stay as they are, and a fit
     that does not converge is not tried again; output injection is tried ``from_afar`` only."""
-    deadline = Deadline(solver.time_limit if isinstance(solver, (Newton, Ipopt)) else None)
     experiments = as_experiments(data, "estimate")
     if not isinstance(model, Model):
         raise ModelError(f"estimate: the first argument is a Model, not a {type(model).__name__}")
@@ -106,13 +105,14 @@ def _estimate(
     if isinstance(transcription, FilterError) and solver is not None:
         raise OptionError("estimate: FilterError has a solver of its own; leave out solver")
     solver_given, solver = solver is not None, Newton() if solver is None else solver
-    if not isinstance(solver, (Newton, Ipopt)):
+    if not isinstance(solver, Newton) and not _is_ipopt(solver):
         raise OptionError(f"estimate: solver is Newton(...) or Ipopt(...), not {solver!r}")
+    deadline = Deadline(solver.time_limit)
     collocated = isinstance(transcription, Collocation)
     if isinstance(solver, Newton) and solver.regression and not collocated:
         raise OptionError("estimate: a regression on states as measured makes sense with Collocation only")
     check_progress("estimate", progress)
-    if not isinstance(start, (Mapping, FitResult, EquationError, type(None))):
+    if not isinstance(start, (Mapping, FitResult, type(None))) and not _is_regression(start):
         raise OptionError(f"estimate: start holds values by name, or is a fit, not {start!r}")
     if model.delays and isinstance(transcription, FilterError):
         raise OptionError("FilterError: delays are not supported")
@@ -125,12 +125,12 @@ def _estimate(
         experiment.check_for(model.input_names, model.output_names, known_sigma, conditions=model.condition_names)
 
     if isinstance(transcription, FilterError):
-        if isinstance(start, EquationError):
+        if not isinstance(start, (Mapping, FitResult, type(None))):
             start = start.as_start()
         with Deadline(transcription.time_limit).in_force():
             return _filtered(model, experiments, transcription, noise, start, progress)
 
-    earlier = Earlier.of(start, noise) if isinstance(start, (FitResult, EquationError)) else None
+    earlier = None if isinstance(start, (Mapping, type(None))) else Earlier.of(start, noise)
     values = start_values(model, start if isinstance(start, Mapping) else {}, experiments, noise)
     ways = {
         "other_ways": every_way,
@@ -165,9 +165,23 @@ def _estimate(
     return fit
 
 
+def _is_ipopt(solver: object) -> TypeGuard[Ipopt]:
+    from ..solvers.ipopt import Ipopt
+
+    return isinstance(solver, Ipopt)
+
+
+def _is_regression(start: object) -> bool:
+    if isinstance(start, (Mapping, FitResult, type(None))):
+        return False
+    from ..regression.equation_error import EquationError
+
+    return isinstance(start, EquationError)
+
+
 def _may_move(transcription: Transcription, start: object) -> bool:
     """Return whether the mesh may follow the motion: none was asked for, and no path of the states is known."""
-    if not isinstance(transcription, Collocation) or isinstance(start, EquationError):
+    if not isinstance(transcription, Collocation) or _is_regression(start):
         return False
     return transcription.segments is None and transcription.substeps == 1
 
@@ -181,6 +195,9 @@ def _filtered(
     progress: bool | Callable[[Iteration], None],
 ) -> FitResult:
     """Return the fit by the filter-error method, within the limit in force."""
+    from .filter_fit import better, doubtful, filter_error
+    from .filter_variables import split
+
     # Of parameters that each experiment has its own, states are measured with biases: their path is a fit's.
     local = len(experiments) > 1 and any(p.per_experiment for p in model.declared_parameters.values())
     if isinstance(start, FitResult):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,13 @@ from ..modelling.model import Model
 from ..modelling.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates
 from ..records import Record, record_of, repeated_outputs
-from ..regression.equation_error import EquationError
 from ..solvers import Iteration, Progress, Solution
-from ..solvers.ipopt import Ipopt
 from ..solvers.newton import Newton, solution_of
 from ..transcription import Collocation, Transcription, records_of
+
+if TYPE_CHECKING:
+    from ..regression.equation_error import EquationError
+    from ..solvers.ipopt import Ipopt
 
 __all__ = ["Earlier", "estimated", "make_fit"]
 
@@ -50,7 +52,7 @@ class Earlier:
     def of(fit: FitResult | EquationError, noise: Noise) -> Earlier:
         """Return what a fit or a regression gives for an estimation with this noise."""
         paths = [(r.mesh_t, dict(r.mesh_states)) for r in fit.records]
-        if isinstance(fit, EquationError):
+        if not isinstance(fit, FitResult):
             return Earlier(fit.as_start(), paths)
         shooting = not isinstance(fit.transcription, Collocation)
         return Earlier(fit.as_start(noise), paths, fit.solution, shooting, near=True, smoothed=_smoothed(fit))

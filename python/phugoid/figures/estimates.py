@@ -12,7 +12,21 @@ from numpy.typing import NDArray
 from ..errors import DataError, OptionError, UnknownName, listing
 from ..fit_result import FitResult
 from ..parameters import Estimate, plus_minus
-from . import GREY, MEASURED, MODEL, RESIDUAL, RULE, SERIES, STATE, WIDTH, Panels, plain, styled
+from . import (
+    GREY,
+    MEASURED,
+    MODEL,
+    RESIDUAL,
+    RULE,
+    SERIES,
+    STATE,
+    WIDTH,
+    Panels,
+    headline,
+    plain,
+    styled,
+)
+from .ticks import label_decades, linear_ticks, log_ticks, prepare
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -239,11 +253,13 @@ def _chosen(fits: Sequence[Any], names: Sequence[str] | None) -> tuple[list[str]
 
 _Array = NDArray[np.float64]
 
-_PANEL, _HEAD = 1.15, 0.5  # inches
+# Inches.
+_PANEL, _GAP, _HEAD, _FOOT = 1.08, 0.32, 0.46, 0.4
+_LEFT, _RIGHT = 0.42, 0.06
 _SMALLEST = 1e-16  # of what is drawn; a zero has no logarithm
 
 
-def plot_convergence(fit: FitResult, width: float = WIDTH) -> tuple[Figure, dict[str, Axes]]:
+def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
     """Plot each column of the iteration table over the iterations, on a logarithmic scale where it changes much.
 
     Log-likelihood: the distance from that of the last iteration; hollow where it was above, which a point can be that
@@ -256,8 +272,6 @@ def plot_convergence(fit: FitResult, width: float = WIDTH) -> tuple[Figure, dict
     Returns the figure and the axes by ``"log-likelihood"``, ``"defect"``, ``"optimum"`` and ``"step"``. Raises
     DataError for a fit without iterations, such as one whose solver keeps no table.
     """
-    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
-
     history = list(fit.history)
     if not history:
         raise DataError("plot_convergence: the fit has no history of iterations")
@@ -266,10 +280,19 @@ def plot_convergence(fit: FitResult, width: float = WIDTH) -> tuple[Figure, dict
     likelihood = np.array([line.log_likelihood for line in history], dtype=float)
     names = ("log-likelihood", "defect", "optimum", "step")
     with styled() as plt:
-        rows, columns = (4, 1) if width < WIDTH else (2, 2)  # on a narrow page one below the other
-        size = width, rows * _PANEL + _HEAD + 0.45
-        figure, panels = plt.subplots(rows, columns, sharex=True, squeeze=False, figsize=size, layout="constrained")
+        height = 2.0 * _PANEL + _GAP + _HEAD + _FOOT
+        frame = {
+            "left": _LEFT / WIDTH,
+            "right": 1.0 - _RIGHT / WIDTH,
+            "bottom": _FOOT / height,
+            "top": 1.0 - _HEAD / height,
+            "hspace": _GAP / _PANEL,
+            "wspace": (_LEFT + _RIGHT) / (0.5 * WIDTH - _LEFT - _RIGHT),
+        }
+        figure, panels = plt.subplots(2, 2, sharex=True, figsize=(WIDTH, height), gridspec_kw=frame)
         axes: dict[str, Any] = dict(zip(names, panels.flat, strict=True))
+        for axis in axes.values():
+            prepare(axis, _LEFT)
         below = likelihood[-1] - likelihood
         _draw_iterations(axes["log-likelihood"], number[:-1], np.abs(below[:-1]), MEASURED, hollow=below[:-1] < 0.0)
         _draw_iterations(axes["defect"], number, np.array([line.defect for line in history]), MODEL)
@@ -289,17 +312,19 @@ def plot_convergence(fit: FitResult, width: float = WIDTH) -> tuple[Figure, dict
             "step, part of the full one",
         )
         for axis, title in zip(axes.values(), titles, strict=True):
-            axis.set_title(title, fontsize=8.0, loc="left")
-            axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-            if axis.get_yscale() == "log":
-                axis.yaxis.set_major_locator(LogLocator(numticks=6))
-                axis.yaxis.set_minor_formatter(NullFormatter())
+            logarithmic = axis.get_yscale() == "log"
+            # There is nothing above a logarithmic axis; above others the factor of its numbers may be.
+            axis.set_title(title, fontsize=8.0, loc="left", y=1.0 if logarithmic else None)
+            axis.xaxis.set_major_locator(linear_ticks(integer=True))
+            if logarithmic:
+                axis.yaxis.set_major_locator(log_ticks(numticks=6))
+                label_decades(axis.yaxis)
             for place in anew:
                 axis.axvline(place, color=RULE, linewidth=0.8, linestyle="--", zorder=0.5)
         for axis in panels[-1]:
             axis.set_xlabel("iteration")
         status = f"{fit.model.name}: {fit.status} after {fit.iterations} iterations, {fit.time:.2g} s"
-        figure.suptitle(plain(status), x=0.01, ha="left", fontsize=9.5)
+        headline(figure, 0.01, status)
     return figure, Panels(axes)
 
 

@@ -35,6 +35,7 @@ from . import (
     with_gaps,
     write_keys,
 )
+from .ticks import prepare
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -325,7 +326,7 @@ def _layout(record: Record, channels: Sequence[str]) -> tuple[Figure, dict[str, 
         row = len(upper_block) * upper_rows + 2 * (i // columns)
         panels[name] = share = figure.add_subplot(grid[row, i % columns], sharex=share)
     for axis in panels.values():
-        axis.yaxis.set_label_coords(-_LABEL / width, 0.5)
+        prepare(axis, _LABEL)
     return figure, panels
 
 
@@ -333,8 +334,9 @@ def _finish(figure: Figure, panels: Mapping[str, Axes], title: str, time: TimeUn
     """Add time labels at the foot of each column only, a title, and one legend for all panels."""
     lowest: dict[float, Axes] = {}
     handles: dict[str, Any] = {}
-    for axis in panels.values():
-        axis.tick_params(labelbottom=False)
+    for name, axis in panels.items():
+        # The residuals beneath have the same times.
+        axis.tick_params(bottom=f"{name} residual" not in panels, labelbottom=False)
         box = axis.get_position()
         if box.x0 not in lowest or box.y0 < lowest[box.x0].get_position().y0:
             lowest[box.x0] = axis

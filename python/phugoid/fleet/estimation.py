@@ -37,8 +37,8 @@ _PARTS, _RECORDS = 4, 250
 _TAKEN, _POOR, _GOOD = 1e-3, 0.25, 0.75
 # Relative rounding of the sums, and the least radius, in standard errors.
 _ROUNDING, _LEAST = 1e-13, 1e-6
-# Steps that promise less log-likelihood than the first are taken unless it falls by more than the second. The end is where
-# promises below the third no longer fall, for the paths of the records leave as much.
+# Steps that promise less log-likelihood than the first are taken unless it falls by more than the second. The end is
+# where promises below the third no longer fall, for the paths of the records leave as much.
 _NEAR, _SLACK, _SPENT = 0.1, 0.01, 1e-5
 # Turns of populations and shared parameters, and by how much of its standard error a population may still move.
 _TURNS, _STILL = 20, 0.02

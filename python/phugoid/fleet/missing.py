@@ -77,13 +77,14 @@ class MissingEffects:
     effects    those that are significant, each given the ones before it.
     tested     number of candidates.
     threshold  of ``z``: passed by one of all candidates in 5 % of fleets in which nothing is missing.
-    scores     candidate -> z, before any effect was added.
+    gains      candidate -> gain in log-likelihood to first order, before any effect was added; 0 where ``z`` is not
+               significant.
     """
 
     effects: tuple[MissingEffect, ...]
     tested: int
     threshold: float
-    scores: dict[str, float]
+    gains: dict[str, float]
     records: int
 
     def summary(self) -> str:
@@ -109,17 +110,15 @@ class MissingEffects:
         return "\n".join([head, table, *(f"{e.name}: {e.explanation}" for e in self.effects)])
 
     def plot(self) -> Figure:
-        """Draw z of the candidates, and the coefficient of the strongest effect in each record."""
+        """Draw the gains of the candidates, and the coefficient of the strongest effect in each record."""
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(10, 4.5), layout="constrained")
         left, right = figure.subplots(1, 2)
-        order = sorted(self.scores, key=lambda name: -abs(self.scores[name]))[:12][::-1]
+        order = sorted(self.gains, key=lambda name: -self.gains[name])[:12][::-1]
         found = {e.name for e in self.effects}
-        left.barh(order, [self.scores[n] for n in order], color=["C3" if n in found else "0.75" for n in order])
-        for side in (-self.threshold, self.threshold):
-            left.axvline(side, color="0.3", linewidth=0.8, linestyle="--")
-        left.set_xlabel("score over the fleet, in its standard deviations")
+        left.barh(order, [self.gains[n] for n in order], color=["C3" if n in found else "0.75" for n in order])
+        left.set_xlabel("gain in log-likelihood, to first order")
         left.set_title("Which effect is missing in most records", fontsize="medium", loc="left")
         if self.effects:
             effect = self.effects[0]
@@ -176,7 +175,7 @@ def missing_effects(
         raise OptionError("missing_effects: no candidate enters with one coefficient")
     executors = of_executors(executor)
     some_of = named[:: max(len(named) // _REFITTED, 1)][:_REFITTED]
-    step, effects, scores, threshold = fleet, list[MissingEffect](), dict[str, float](), math.inf
+    step, effects, gains, threshold = fleet, list[MissingEffect](), dict[str, float](), math.inf
     tested = len({c.name for c in linear})
     while True:
         left = [c for c in linear if c.name not in {e.name for e in effects}]
@@ -187,18 +186,19 @@ def missing_effects(
             except Stopped:
                 raise KeyboardInterrupt("missing_effects: stopped") from None
         if not effects:
-            scores = {t.name: t.z for t in sorted(found, key=lambda t: abs(t.z))}
             threshold = _threshold(len(found), len(named))
+            shown = ((t.name, t.gain if abs(t.z) > threshold else 0.0) for t in found)
+            gains = dict(sorted(shown, key=lambda pair: pair[1]))  # of several centres the best
         significant = [t for t in found if abs(t.z) > threshold]
         leading = sorted(significant, key=lambda t: -t.gain)[:_LEADING]
         if not leading or len(effects) == most:
-            return MissingEffects(tuple(effects), tested, threshold, scores, len(named))
+            return MissingEffects(tuple(effects), tested, threshold, gains, len(named))
         # To first order much looks alike: which one it is, an estimate with each says.
         tried = [(t, f) for t in leading if (f := _extended(step, t.candidate, some_of, executors)) is not None]
         best = max(tried, key=lambda pair: pair[1].log_likelihood, default=None)
         extended = None if best is None else _extended(step, best[0].candidate, named, executors)
         if best is None or extended is None:
-            return MissingEffects(tuple(effects), tested, threshold, scores, len(named))
+            return MissingEffects(tuple(effects), tested, threshold, gains, len(named))
         test, likeliest = best[0], best[1].log_likelihood
         close = {t.name: None for t, f in tried if f.log_likelihood > likeliest - _CLOSE and t.name != test.name}
         coefficient = extended.parameters[test.candidate.coefficients[0]]

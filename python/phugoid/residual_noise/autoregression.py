@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 import phugoid._core as _core
 
+from ..goodness_of_fit import chi_square_quantile
 from . import Series
 
 __all__ = [
@@ -252,8 +253,6 @@ def spectrum_of(series: Sequence[Series], alpha: float) -> Spectrum:
     Segments are not freed of their mean: a bias is part of the misfit. Gaps count as residuals of zero, and the density
     is scaled to the samples that are there.
     """
-    from scipy.special import chdtri
-
     longest = max(s.segment.size for s in series)
     size = int(np.clip(longest, 8, _SEGMENT))
     if size > 64:  # four segments at least, so that bands differ from chance
@@ -279,7 +278,7 @@ def spectrum_of(series: Sequence[Series], alpha: float) -> Spectrum:
     below = float(np.interp(0.8, np.cumsum(density) / total, frequency))
     # Two degrees of freedom of each segment, but neighbours, half overlapped, have a correlation of 1/36 (Welch 1967).
     freedom = 2.0 * segments / (1.0 + 2.0 / 36.0)
-    over = density > level * chdtri(freedom, alpha / density.size) / freedom
+    over = density > level * chi_square_quantile(freedom, alpha / density.size) / freedom
     bands = []
     # From a peak that is no chance, a band reaches as far as the density is above that of white noise.
     for low, high in _groups(density > level):

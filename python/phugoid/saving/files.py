@@ -15,7 +15,6 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping
-from hashlib import sha256
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
@@ -157,6 +156,8 @@ class Reader:
 
 
 def _seal(content: bytes) -> bytes:
+    from hashlib import sha256  # not at import: it takes its time
+
     return _SEAL + sha256(content).hexdigest().encode() + b"\n"
 
 

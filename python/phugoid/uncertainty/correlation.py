@@ -193,12 +193,12 @@ def plot_correlation(fit: FitResult, names: Sequence[str] | None = None) -> tupl
         figure = plt.figure(figsize=(width, height))
         bottom = (height - _TOP - side) / height
         axis = figure.add_axes((left / width, bottom, side / width, side / height))
-        image = _draw(axis, matrix, shown, 72.0 * cell)
+        cells = _draw(axis, matrix, shown, 72.0 * cell)
         # In the corner that the triangle leaves free.
         length = min(_BAR_LENGTH, 0.7 * (width - left))
         at = (width - _RIGHT - length - 0.1, height - _TOP - 0.12)
         scale = figure.add_axes((at[0] / width, at[1] / height, length / width, _BAR / height))
-        figure.colorbar(image, cax=scale, orientation="horizontal", ticks=[-1, -0.5, 0, 0.5, 1])
+        figure.colorbar(cells, cax=scale, orientation="horizontal", ticks=[-1, -0.5, 0, 0.5, 1])
         scale.tick_params(labelsize=6.5, length=2.0, pad=1.5)
         scale.set_xlabel("correlation", fontsize=7.0, labelpad=1.0)
         title = f"{fit.model.name}: correlation of the estimates"
@@ -228,20 +228,19 @@ def _draw(axis: Axes, matrix: _Array, names: Sequence[str], cell: float) -> Any:
     """Draw the rows from the second name, the columns to the last but one; ``cell`` is their size in points."""
     n = len(names)
     lower = np.where(np.tril(np.ones((n - 1, n - 1), dtype=bool)), matrix[1:, :-1], np.nan)
-    image = axis.imshow(lower, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="auto", interpolation="nearest")
+    edges = np.arange(n) - 0.5
+    # As rectangles: in an image a colour would be looked up for each pixel.
+    cells = axis.pcolormesh(edges, edges, lower, cmap="RdBu_r", vmin=-1.0, vmax=1.0, edgecolors="white", linewidth=0.5)
+    axis.set_ylim(n - 1.5, -0.5)
     letters = min(7.0, 0.85 * cell)
     axis.set_xticks(range(n - 1), [plain(name) for name in names[:-1]], rotation=90, fontsize=letters)
     axis.set_yticks(range(n - 1), [plain(name) for name in names[1:]], fontsize=letters)
     axis.tick_params(length=0.0, pad=2.0)
     for spine in axis.spines.values():
         spine.set_visible(False)
-    axis.set_xticks(np.arange(n) - 0.5, minor=True)
-    axis.set_yticks(np.arange(n) - 0.5, minor=True)
-    axis.grid(which="minor", color="white", linewidth=0.8)
-    axis.tick_params(which="minor", length=0.0)
     size = min(7.0, 0.9 * cell / (4.2 * _LETTER))  # for as many letters as -.99 has
     if size < _SMALLEST:
-        return image
+        return cells
     for row in range(n - 1):
         for column in range(row + 1):
             value = float(lower[row, column])
@@ -255,7 +254,7 @@ def _draw(axis: Axes, matrix: _Array, names: Sequence[str], cell: float) -> Any:
                 fontweight="bold" if abs(value) >= _STRONG else "normal",
                 color="white" if abs(value) > 0.65 else "black",
             )
-    return image
+    return cells
 
 
 def _two_digits(value: float) -> str:

@@ -26,6 +26,7 @@ from ...figures import (
     styled,
     with_gaps,
 )
+from ...figures.ticks import label_decades, log_ticks, make_ticks_in_view
 from ...fit_result import FitResult
 from ...notebook import Html, bullets, notebook_page, sparkline, table
 from ...records import Record
@@ -176,12 +177,14 @@ def misfit_figure(
             share = None
             for i, record in enumerate(shown):
                 axis = share = part.add_subplot(times[0, i], sharey=share)
+                make_ticks_in_view(axis)
                 key = f"{name} time" if len(records) == 1 else f"{name} time {record.name}"
                 panels[key] = axis
                 room = int(_NAME * shares[i] / shares.sum()) if len(records) > 1 else 0
                 _draw_time(axis, channel, record, first=i == 0, room=room)
             for what, cell in zip(("autocorrelation", "spectrum", "regime"), cells, strict=True):
                 panels[f"{name} {what}"] = part.add_subplot(cell)
+                make_ticks_in_view(panels[f"{name} {what}"])
             _draw_autocorrelation(panels[f"{name} autocorrelation"], channel)
             _draw_spectrum(panels[f"{name} spectrum"], channel)
             _draw_regime(panels[f"{name} regime"], channel)
@@ -268,8 +271,6 @@ def _draw_autocorrelation(axis: Axes, c: ChannelMisfit) -> None:
 
 
 def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
-    from matplotlib.ticker import NullFormatter
-
     if c.spectrum is None:
         _empty(axis, "too few samples\nfor a spectrum")
         return
@@ -284,11 +285,12 @@ def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
     # A flat spectrum shall look flat.
     axis.set_ylim(min(s.level / 20.0, float(s.density.min())), max(s.level * 20.0, 1.5 * float(s.density.max())))
     for part in (axis.xaxis, axis.yaxis):
-        part.set_minor_formatter(NullFormatter())
+        part.set_major_locator(log_ticks(numticks=6))
+        label_decades(part)
     time = time_unit_of(c.units)
     axis.set_xlabel(plain(f"frequency, {time.frequency}"), labelpad=1.0)
     tones = ", tones dotted" if c.tones else ""
-    axis.set_title(plain(f"power, {squared(c.unit, time)}{tones}"), fontsize=7.5)
+    axis.set_title(plain(f"power, {squared(c.unit, time)}{tones}"), fontsize=7.5, y=1.0)
 
 
 def _draw_regime(axis: Axes, c: ChannelMisfit) -> None:

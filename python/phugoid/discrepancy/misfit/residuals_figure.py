@@ -27,7 +27,9 @@ from ...figures import (
     write_keys,
 )
 from ...figures.fit import choose_record, sigmas_of
+from ...figures.ticks import label_decades, log_ticks, prepare
 from ...fit_result import FitResult
+from ...goodness_of_fit import chi_square_quantile
 from ...records import Record
 from ...residual_noise import Series, autocorrelation_of, channel_series
 from ...residual_noise.autoregression import spectrum_of
@@ -43,6 +45,7 @@ _Array = NDArray[np.float64]
 
 _ROW, _HEAD, _FOOT = 1.12, 0.62, 0.42  # inches
 _LEFT, _RIGHT = 0.8, 0.12
+_LABEL = 0.62  # from the axis to the middle of its label
 _ENOUGH = 16  # samples for an autocorrelation and a spectrum
 _LEVEL = 0.95
 _UNEVEN = 0.1  # of a step: farther from the grid than this a sample's time is off it
@@ -50,7 +53,7 @@ _MANY = 0.05  # of the samples
 
 
 def plot_residuals(
-    fit: FitResult, record: int | str = 0, channels: Sequence[str] | None = None, width: float = WIDTH
+    fit: FitResult, record: int | str = 0, channels: Sequence[str] | None = None
 ) -> tuple[Figure, dict[str, Axes]]:
     """Plot, for each output of an experiment, residuals over time, their autocorrelation and their power spectrum.
 
@@ -66,7 +69,6 @@ def plot_residuals(
 
     record    index or name of the experiment.
     channels  outputs to show; None: all that were measured.
-    width     of the figure, in inches; in a narrow one residuals stand above their autocorrelation and spectrum.
 
     Returns the figure and the axes by ``"<output>"``, ``"<output> autocorrelation"``, ``"<output> spectrum"``. Raises
     UnknownName for an output or an experiment that is not there, DataError where nothing was measured.
@@ -75,53 +77,42 @@ def plot_residuals(
     names = _chosen(chosen, channels)
     sigmas = sigmas_of(fit, chosen)
     axes: dict[str, Any] = {}
+    time = time_unit_of(chosen.units)
     with styled() as plt:
-        narrow = width < WIDTH
-        height = (2.3 if narrow else 1.0) * _ROW * len(names) + _HEAD + _FOOT
-        figure = plt.figure(figsize=(width, height))
+        height = _ROW * len(names) + _HEAD + _FOOT
+        figure = plt.figure(figsize=(WIDTH, height))
         grid = figure.add_gridspec(
-            2 * len(names) if narrow else len(names),
-            2 if narrow else 3,
-            width_ratios=(1.0, 1.0) if narrow else (1.65, 1.0, 1.0),
-            hspace=0.62 if narrow else 0.42,
+            len(names),
+            3,
+            width_ratios=(1.9, 1.0, 1.0),
+            hspace=0.42,
             wspace=0.3,
-            left=_LEFT / width,
-            right=1.0 - _RIGHT / width,
+            left=_LEFT / WIDTH,
+            right=1.0 - _RIGHT / WIDTH,
             bottom=_FOOT / height,
             top=1.0 - _HEAD / height,
         )
         share = None
         for i, name in enumerate(names):
-            first, rest = (grid[2 * i, :], 2 * i + 1) if narrow else (grid[i, 0], i)
-            axes[name] = share = figure.add_subplot(first, sharex=share)
-            axes[f"{name} autocorrelation"] = figure.add_subplot(grid[rest, -2])
-            axes[f"{name} spectrum"] = figure.add_subplot(grid[rest, -1])
-            _draw_time(axes[name], chosen, name, sigmas.get(name, math.nan))
+            panels = [share := figure.add_subplot(grid[i, 0], sharex=share)]
+            panels += [figure.add_subplot(grid[i, column]) for column in (1, 2)]
+            axes.update(zip((name, f"{name} autocorrelation", f"{name} spectrum"), panels, strict=True))
+            for axis in panels:
+                prepare(axis, _LABEL)
+            _draw_time(panels[0], chosen, name, sigmas.get(name, math.nan))
             series = channel_series([chosen], name)
-            enough = bool(series) and series[0].r.size >= _ENOUGH and bool(np.any(series[0].r != 0.0))
-            if not enough:
-                for what in ("autocorrelation", "spectrum"):
-                    _empty(axes[f"{name} {what}"], "too few residuals")
+            if not series or series[0].r.size < _ENOUGH or not np.any(series[0].r != 0.0):
+                for axis in panels[1:]:
+                    _empty(axis, "too few residuals")
             else:
-                _draw_autocorrelation(axes[f"{name} autocorrelation"], series[0])
-                _draw_spectrum(
-                    axes[f"{name} spectrum"], series[0], squared(chosen.units.get(name, ""), time_unit_of(chosen.units))
-                )
-        time = time_unit_of(chosen.units)
+                _draw_autocorrelation(panels[1], series[0])
+                _draw_spectrum(panels[2], series[0], squared(chosen.units.get(name, ""), time))
         labels = {"": time.axis(), " autocorrelation": time.axis("lag"), " spectrum": f"frequency, {time.frequency}"}
         for what, text in labels.items():
             axes[f"{names[-1]}{what}"].set_xlabel(plain(text))
-            axes[f"{names[-1]}{what}"].set_visible(True)
-        for name in names[:-1]:
-            axes[name].tick_params(labelbottom=narrow)
-        _finish(
-            figure,
-            axes,
-            names,
-            f"{fit.model.name}: {chosen.name}, {_called(chosen)}s",
-            f"measured − {'predicted' if chosen.innovations else 'model'}",
-            narrow,
-        )
+        left = _LEFT / WIDTH
+        headline(figure, left, f"{fit.model.name}: {chosen.name}, {_called(chosen)}s")
+        write_keys(figure, left, _keys(chosen), fontsize=6.5)
     return figure, Panels(axes)
 
 
@@ -165,7 +156,6 @@ def _draw_time(axis: Axes, record: Record, name: str, sigma: float) -> None:
     axis.margins(x=0.01)
     axis.locator_params(axis="y", nbins=5)
     axis.set_ylabel(plain(labelled(name, record.units)))
-    axis.yaxis.set_label_coords(-0.25 if axis.get_position().width < 0.5 else -0.2, 0.5)
 
 
 def _empty(axis: Axes, text: str) -> None:
@@ -183,8 +173,7 @@ def _draw_autocorrelation(axis: Axes, series: Series) -> None:
     axis.plot(lags, rho, ".", color=MEASURED, ms=2.5 if lags.size < 40 else 1.6)
     axis.set_ylim(min(-0.4, 1.15 * float(rho.min())), 1.08)
     axis.margins(x=0.03)
-    if rho.size > 1:
-        axis.set_title(f"lag 1: {rho[1]:.2f}".replace("-", "−"), fontsize=6.5, loc="right", pad=1.5)
+    _head(axis, "autocorrelation", f"lag 1: {rho[1]:.2f}".replace("-", "−") if rho.size > 1 else "")
     # Within the axes, which have room at large lags: beside the title of a narrow panel there is none.
     said = ["uneven times"] if _uneven(series) else []
     if series.outliers.size:
@@ -193,23 +182,31 @@ def _draw_autocorrelation(axis: Axes, series: Series) -> None:
 
 
 def _draw_spectrum(axis: Axes, series: Series, unit: str) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-    from scipy.special import chdtri  # scipy.stats takes ten times as long to import
+    from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
 
     s = spectrum_of([series], 1e-3)
-    low, high = (s.level * float(chdtri(s.freedom, p)) / s.freedom for p in (0.5 + 0.5 * _LEVEL, 0.5 - 0.5 * _LEVEL))
+    low, high = (
+        s.level * chi_square_quantile(s.freedom, p) / s.freedom for p in (0.5 + 0.5 * _LEVEL, 0.5 - 0.5 * _LEVEL)
+    )
     axis.axhspan(low, high, color=BAND, linewidth=0.0)
     axis.axhline(s.level, color=GREY, linewidth=0.8, linestyle="--")
     axis.loglog(s.frequency, s.density, color=MEASURED, linewidth=1.0)
     # A flat spectrum shall look flat.
     axis.set_ylim(min(s.level / 20.0, 0.7 * float(s.density.min())), max(s.level * 20.0, 1.5 * float(s.density.max())))
-    axis.yaxis.set_major_locator(LogLocator(numticks=5))
-    for part in (axis.xaxis, axis.yaxis):
-        part.set_minor_formatter(NullFormatter())
+    axis.yaxis.set_major_locator(log_ticks(numticks=5))
+    label_decades(axis.yaxis)
     if s.frequency[-1] < 100.0 * s.frequency[0]:  # less than two decades
-        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=9))
+        axis.xaxis.set_major_locator(log_ticks(subs=(1.0, 2.0, 5.0), numticks=9))
+        axis.xaxis.set_minor_locator(NullLocator())
+    axis.xaxis.set_minor_formatter(NullFormatter())
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_title(plain(unit), fontsize=6.5, loc="right", pad=1.5)
+    _head(axis, "power", unit)
+
+
+def _head(axis: Axes, left: str, right: str) -> None:
+    """Write what a panel shows, and a number or the unit, above it; at a fixed height, which need not be looked for."""
+    axis.set_title(plain(left), fontsize=6.5, loc="left", pad=1.5, y=1.0)
+    axis.set_title(plain(right), fontsize=6.5, loc="right", pad=1.5, y=1.0)
 
 
 def _uneven(series: Series) -> bool:
@@ -217,24 +214,12 @@ def _uneven(series: Series) -> bool:
     return bool(np.mean(np.abs(steps - np.rint(steps)) > _UNEVEN) > _MANY)
 
 
-def _finish(figure: Figure, axes: dict[str, Any], names: Sequence[str], title: str, line: str, narrow: bool) -> None:
+def _keys(record: Record) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    headline(figure, 0.01 if narrow else _LEFT / WIDTH, title)
-    band = Patch(color=BAND, label="95 % if white")
-    keys: dict[str, list[Any]] = {
-        names[0]: [
-            Line2D([], [], color=RESIDUAL, linewidth=0.8, label=line),
-            Patch(color=BAND, label="±2σ, or 95 % if white" if narrow else "±2σ"),
-        ]
-    }
-    for what, label in (("autocorrelation", "autocorrelation"), ("spectrum", "power")):
-        if narrow:  # each panel has its own heading
-            for name in names:
-                axes[f"{name} {what}"].set_title(label, fontsize=6.5, loc="left", pad=1.5)
-        else:
-            keys[f"{names[0]} {what}"] = [Line2D([], [], color=MEASURED, linewidth=1.0, label=label), band]
-    for name, each in keys.items():
-        left = axes[name].get_position().x0
-        write_keys(figure, left, each, columnspacing=0.9, handlelength=1.2, handletextpad=0.4, fontsize=6.5)
+    line = f"measured − {'predicted' if record.innovations else 'model'}"
+    return [
+        Line2D([], [], color=RESIDUAL, linewidth=0.8, label=line),
+        Patch(color=BAND, label="±2σ, or 95 % if white"),
+    ]

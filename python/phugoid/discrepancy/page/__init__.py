@@ -6,13 +6,14 @@ import math
 import os
 import textwrap
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Literal
 
 from ...figures.fit import sigmas_of
 from ...modelling.constant import constants_table
 from ...modelling.model import Model
 from ...notebook import equation
-from ...pages import WIDTHS, PageTable, histories, picture, render, sources
+from ...pages import PageTable, histories, picture_in_widths, render, sources
 from ...parameters import Estimate
 from ...time_unit import SECONDS, TimeUnit
 from ...writing import PAGES, check_folder, check_suffix, write
@@ -354,7 +355,7 @@ def _explained(diagnosis: DiagnosisResult) -> Any:
     """Return the figure that shows the verdict; None where no finding has a part of the misfit that it explains."""
     if not any(f.explained == f.explained for f in diagnosis.findings):
         return None
-    return picture(*(explained_figure(diagnosis.findings, width)[0] for width in WIDTHS))
+    return picture_in_widths(partial(explained_figure, diagnosis.findings))
 
 
 def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
@@ -367,7 +368,7 @@ def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
     pictures = [
         (
             f"Residuals of {n}: {what_stands_out(found.channels[n])}",
-            picture(*(misfit_figure(found, [n], width)[0] for width in WIDTHS)),
+            picture_in_widths(partial(misfit_figure, found, [n])),
         )
         for n in found.worst[:_SHOWN]
     ]
@@ -390,7 +391,7 @@ def _cause(finding: Finding, model: Model) -> dict[str, Any]:
         "status": finding.status,
         "lines": finding_lines(finding),
         "alternatives": PageTable(["candidate", "gain in log-likelihood"], rows, "lr"),
-        "curve": picture(*(curve_figure(finding, model, width)[0] for width in WIDTHS)) if finding.is_drawn else None,
+        "curve": picture_in_widths(partial(curve_figure, finding, model)) if finding.is_drawn else None,
     }
 
 
@@ -402,7 +403,7 @@ def _evidence(diagnosis: DiagnosisResult) -> dict[str, Any]:
         rows.append([s.name, *gains, f"{s.distinct:.2g}", s.explanation, s.remark])
     heads = ["candidate", "gain", "ranked by", "white noise", "distinct", "explanation", "remark"]
     return {
-        "picture": picture(*(ranking_figure(ranking, diagnosis.threshold, width)[0] for width in WIDTHS)),
+        "picture": picture_in_widths(partial(ranking_figure, ranking, diagnosis.threshold)),
         "table": PageTable(heads, rows, "lrrrrtt"),
     }
 
@@ -462,8 +463,8 @@ def _gain(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[str, A
         "grown": ", ".join(name for name in gain.channels if gain.change(name, held_out=True) > _GROWN),
         "totals": PageTable(["total", "gain"], totals, "lr"),
         "channels": PageTable(heads, rows, "llrrrrrr"),
-        "overview": picture(*(gain_figure(gain, diagnosis.fit.model.units, width)[0] for width in WIDTHS)),
-        "histories": picture(*(findings_figure(diagnosis.fit, extension, None, width)[0] for width in WIDTHS)),
+        "overview": picture_in_widths(partial(gain_figure, gain, diagnosis.fit.model.units)),
+        "histories": picture_in_widths(partial(findings_figure, diagnosis.fit, extension, None)),
     }
 
 

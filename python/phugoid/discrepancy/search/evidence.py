@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
+from ...goodness_of_fit import chi_square_quantile
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.whitened import Whitened
 from ..candidates.candidate import Candidate, Effect
@@ -24,7 +24,6 @@ __all__ = [
     "Assessment",
     "AssessmentSettings",
     "Evidence",
-    "chi_square_quantile",
 ]
 
 # Families of candidates that depend on the time in a record alone.
@@ -442,14 +441,6 @@ class Assessment:
             return False
         tones = [at.fit.parameters[n].value / (2.0 * np.pi) for n in candidate.shape_names]
         return any(is_near(tone, f) for tone in tones for f in ringing.frequencies)
-
-
-@cache
-def chi_square_quantile(freedom: int, probability: float) -> float:
-    """Return the upper quantile of the chi-square distribution."""
-    from scipy.special import chdtri  # not at import: it takes its time
-
-    return float(chdtri(freedom, probability))
 
 
 def _gain_of_mean_squares(base: Refit, more: Refit, error: float) -> float:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...errors import PhugoidError
 from ...fit_result import dataset
+from ...goodness_of_fit import chi_square_quantile
 from ...modelling.model import Model
 from ...parameters import Parameter
 from ...sensitivities import Place
@@ -25,7 +26,7 @@ from ..candidates.candidate import taken_names, unused
 from ..candidates.model_structure import ModelStructure
 from ..candidates.terms import where
 from . import Search, SearchResult
-from .evidence import AssessmentSettings, chi_square_quantile
+from .evidence import AssessmentSettings
 from .free_run import Explained, Misfitting, Simulated
 from .refit import BLOCKS, Refit, blocks_of, fitted_to, is_structured
 

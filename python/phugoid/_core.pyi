@@ -16,6 +16,7 @@ __all__ = [
     "Noise",
     "Online",
     "Problem",
+    "Share",
     "Shooting",
     "Table",
     "Whitening",

@@ -17,7 +17,7 @@ from ..estimation.workers import again, is_loss
 from ..solvers import Deadline
 from .worker import Part, Spec, Trial, first_estimate, work
 
-__all__ = ["Crew", "Stopped", "of_executors", "workers_of"]
+__all__ = ["FleetCrew", "Stopped", "of_executors", "workers_of"]
 
 # Wake up so often (s), since on some systems Ctrl-C does not interrupt a wait.
 _POLL = 0.2
@@ -59,13 +59,13 @@ def workers_of(executors: Sequence[Executor]) -> int:
 
 
 @dataclass
-class _Task:
+class _PartTask:
     part: int
     carries: bool = False
     deaths: int = 0
 
 
-class Crew:
+class FleetCrew:
     """Evaluates trials of all parts. A part goes to the executor, and on a Dask cluster to the worker, where it was
     before, which has its records and paths; to another one where that is lost.
 
@@ -102,19 +102,19 @@ class Crew:
     def first(self, runs: Sequence[Any], start: Mapping[str, float] | None) -> Mapping[str, Any]:
         """Return the first estimate from a few records, made by a worker."""
 
-        def send(task: _Task) -> Future[Any]:
+        def send(task: _PartTask) -> Future[Any]:
             executor = self._executors[0]
             return executor.submit(first_estimate, self._payload, runs, start, _core.__version__, self._number())
 
-        found: Mapping[str, Any] = next(self._all([_Task(0)], send))[1]
+        found: Mapping[str, Any] = next(self._all([_PartTask(0)], send))[1]
         return found
 
     def evaluate(self, trial: Trial, parts: Sequence[int] | None = None) -> Iterator[Mapping[str, Any]]:
         """Yield the answers of all parts, or of some, in the order in which they come."""
         numbers = range(len(self._parts)) if parts is None else parts
-        tasks = [_Task(k, carries=k not in self._sent) for k in numbers]
+        tasks = [_PartTask(k, carries=k not in self._sent) for k in numbers]
 
-        def send(task: _Task) -> Future[Any]:
+        def send(task: _PartTask) -> Future[Any]:
             carried = (self._payload, self._parts[task.part]) if task.carries else (None, None)
             executor = self._executors[task.part % len(self._executors)]
             arguments = (self._key, carried[0], task.part, carried[1], trial, _core.__version__, self._number())
@@ -144,12 +144,12 @@ class Crew:
             return {}
         return {"workers": [addresses[part % len(addresses)]], "allow_other_workers": True}
 
-    def _all(self, tasks: Sequence[_Task], send: Callable[[_Task], Future[Any]]) -> Iterator[tuple[int, Any]]:
+    def _all(self, tasks: Sequence[_PartTask], send: Callable[[_PartTask], Future[Any]]) -> Iterator[tuple[int, Any]]:
         """Yield part and answer of each task, in the order in which they come.
 
         Raises Stopped at Ctrl-C and at the time limit, OptionError where the workers do not serve.
         """
-        waiting, flying = list(tasks), dict[Future[Any], _Task]()
+        waiting, flying = list(tasks), dict[Future[Any], _PartTask]()
         try:
             while waiting or flying:
                 if self._pressed() or Deadline(None).passed():
@@ -191,7 +191,7 @@ class Crew:
             for future in flying:
                 future.cancel()
 
-    def _again(self, task: _Task, error: BaseException) -> _Task:
+    def _again(self, task: _PartTask, error: BaseException) -> _PartTask:
         """Return the task to be sent once more. Raises OptionError where that makes no sense."""
         if isinstance(error, ModuleNotFoundError):
             raise OptionError(

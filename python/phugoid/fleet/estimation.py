@@ -19,7 +19,7 @@ from ..parameters import Estimate, Estimates, Parameter
 from ..solvers import HINTS, Deadline, Iteration, Progress, interrupts
 from ..solvers.newton import Newton
 from ..transcription import Collocation
-from .crew import Crew, Stopped, of_executors, workers_of
+from .crew import FleetCrew, Stopped, of_executors, workers_of
 from .newton import Quadratic
 from .population import Population
 from .result import FleetFit, FlightResult
@@ -98,7 +98,7 @@ def estimate_fleet(
     given = dict(start.as_start(noise) if isinstance(start, FitResult) else start or {})
     spec = Spec(model, noise, transcription, given, (), int(memory / max(workers, 1)))
     with interrupts() as pressed, Deadline(solver.time_limit).in_force() as deadline:
-        crew = Crew(executors, spec, parts, pressed)
+        crew = FleetCrew(executors, spec, parts, pressed)
         try:
             few = named[:: max(len(named) // first, 1)][:first]
             found = crew.first(few, given if isinstance(start, FitResult) else None)
@@ -112,7 +112,7 @@ def estimate_fleet(
                 model = model.with_parameters(changed)
             spec = replace(spec, model=model, start=found["start"], spreads=found["spreads"])
             crew.close()
-            crew = Crew(executors, spec, parts, pressed)
+            crew = FleetCrew(executors, spec, parts, pressed)
             fleet = _Fleet(crew, leave_out, prior, model.declared_parameters)
             with Progress.of(progress, f"{model.name}: {counted(len(named), 'record')}") as watch:
                 fleet.prepare()
@@ -194,7 +194,7 @@ def _unusable(failures: Mapping[str, str]) -> str:
 class _Fleet:
     """The search for the optimum: the best point so far, and the records that are left out."""
 
-    crew: Crew
+    crew: FleetCrew
     leave_out: bool
     populations: list[Population]
     declared: Mapping[str, Parameter]

@@ -20,7 +20,7 @@ from ..parameters import text_table
 from ..sensitivities import Points
 from ..sensitivities.linearised import Linearised
 from ..solvers import interrupts
-from .crew import Crew, Stopped, of_executors, workers_of
+from .crew import FleetCrew, Stopped, of_executors, workers_of
 from .estimation import divided, estimate_fleet
 from .result import FleetFit
 from .runs import Run, as_runs, checked
@@ -305,11 +305,11 @@ def _tests(
     start = {**fleet.start(), **dict.fromkeys(added, 0.0)}
     spec = Spec(model, fleet.noise, replace(fleet.transcription), start, (), memory // max(workers, 1))
     parts = divided(named, workers)
-    crew = Crew(executors, spec, parts, pressed)
+    crew = FleetCrew(executors, spec, parts, pressed)
     try:
         spreads = crew.first(named[:: max(len(named) // 8, 1)][:8], start)["spreads"]
         crew.close()
-        crew = Crew(executors, replace(spec, spreads=spreads), parts, pressed)
+        crew = FleetCrew(executors, replace(spec, spreads=spreads), parts, pressed)
         ((_, variables),) = [(a["part"], a["variables"]) for a in crew.evaluate(Trial(), [0])]
         at = np.array([value for _, value, _ in variables])
         answers = sorted(crew.evaluate(Trial(at, detailed=True, gauss_newton=True)), key=lambda answer: answer["part"])

@@ -80,17 +80,17 @@ impl NewtonSystem {
         let (mut d, mut lambda) = (vec![0.0; p.len()], vec![0.0; q.len()]);
         factor.solve(p, q, &mut d, &mut lambda);
         let (mut of_d, mut of_lambda) = (vec![0.0; p.len()], vec![0.0; p.len()]);
-        multiply(program.nlp, entries, (&d, &lambda), (&mut of_d, &mut of_lambda, &mut []));
+        multiply(program.nlp, entries, (&d, &lambda), (&mut of_d, &mut of_lambda), &mut []);
         let found = of.iter().map(|&j| gradient[j.0] + of_d[j.0] + of_lambda[j.0]).collect();
         for (row, &i) in hessian.chunks_exact_mut(k).zip(of) {
             d.fill(0.0);
             d[i.0] = 1.0;
             lambda.fill(0.0);
-            multiply(program.nlp, entries, (&d, &lambda), (p, &mut of_lambda, q));
+            multiply(program.nlp, entries, (&d, &lambda), (p, &mut of_lambda), q);
             p.iter_mut().chain(q.iter_mut()).for_each(|v| *v = -*v);
             factor.solve(p, q, &mut d, &mut lambda);
             d[i.0] += 1.0;
-            multiply(program.nlp, entries, (&d, &lambda), (&mut of_d, &mut of_lambda, &mut []));
+            multiply(program.nlp, entries, (&d, &lambda), (&mut of_d, &mut of_lambda), &mut []);
             row.iter_mut().zip(of).for_each(|(h, &j)| *h = of_d[j.0] + of_lambda[j.0]);
         }
         Some((found, symmetric(hessian, k)))
@@ -102,7 +102,8 @@ fn multiply(
     nlp: &dyn Nlp,
     entries: &Entries<'_>,
     (d, lambda): (&[f64], &[f64]),
-    (of_h, of_transposed, of_a): (&mut [f64], &mut [f64], &mut [f64]),
+    (of_h, of_transposed): (&mut [f64], &mut [f64]),
+    of_a: &mut [f64],
 ) {
     of_h.fill(0.0);
     of_transposed.fill(0.0);
